@@ -1,0 +1,100 @@
+"""The difference of one frame from the background, as evidence and a class for every pixel.
+
+The frame itself is never resampled: the background is looked up at the pixel to which the frame's pixel maps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from vtrack_batch.background.exposure import GAIN_SHIFT, Exposure, fit_exposure
+
+GROUND, OBJECT, SHADOW, UNSEEN = 0, 1, 2, 3
+"""Classes of pixels: like the ground, different from it, darker like ground in cast shadow, no ground known there."""
+
+FULL = 100
+"""Evidence of a pixel that surely differs."""
+
+_FLAT_LEVELS = 14
+_POINT_STEP_PX = 3
+_DARKEST_LEVEL = 24
+
+
+@dataclass(frozen=True, eq=False)
+class Difference:
+    """One frame against the background: everything (H, W) in the pixels of that frame.
+
+    ``evidence`` uint8 0..100 that something lies on the ground; ``classes`` uint8, see ``GROUND`` ... ``UNSEEN``;
+    ``exposure`` takes the frame's levels to the background's; ``ground`` (H, W, 3) uint8 the background as seen there.
+    """
+
+    evidence: NDArray[np.uint8]
+    classes: NDArray[np.uint8]
+    exposure: Exposure
+    ground: NDArray[np.uint8]
+
+
+def subtract(
+    frame: NDArray[np.uint8],
+    ground: NDArray[np.uint8],
+    frame_to_ground_px: NDArray[np.float64],
+    *,
+    threshold: float,
+    shadow_band: tuple[float, float],
+    tile_px: float,
+) -> Difference:
+    """Compare *frame* (H, W, 3) with *ground* (h, w, 4) uint8: colour and tolerance, tolerance 255 = unseen.
+
+    *threshold* in grey levels gives half evidence; *shadow_band* = lowest and highest ratio of a cast shadow, (0, 0) =
+    no shadows are known here; *tile_px* = distance of the nodes of the exposure's gain.
+    """
+    height, width = frame.shape[:2]
+    seen = cv2.warpPerspective(
+        ground,
+        frame_to_ground_px,
+        (width, height),
+        flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=(0, 0, 0, 255),
+    )
+    step = _POINT_STEP_PX
+    points = seen[::step, ::step]
+    picture, target = np.ascontiguousarray(frame[::step, ::step]), np.ascontiguousarray(points[:, :, :3])
+    exposure = fit_exposure(picture, target, points[:, :, 3] <= _FLAT_LEVELS, tile_px=tile_px / step)
+    evidence, classes = np.empty((height, width), np.uint8), np.empty((height, width), np.uint8)
+    _classify(
+        frame, seen, exposure.levels, exposure.gain_map(height, width), threshold, *shadow_band, evidence, classes
+    )
+    return Difference(evidence, classes, exposure, seen)
+
+
+@njit(cache=True, nogil=True)
+def _classify(frame, ground, levels, gain, threshold, shadow_low, shadow_high, evidence, classes):  # type: ignore[no-untyped-def]
+    for r in range(frame.shape[0]):
+        for c in range(frame.shape[1]):
+            tolerance = float(ground[r, c, 3])
+            if tolerance == 255:
+                evidence[r, c] = 0
+                classes[r, c] = UNSEEN
+                continue
+            g = gain[r >> GAIN_SHIFT, c >> GAIN_SHIFT]
+            largest, ratio_low, ratio_high, brightest = 0.0, 9.0, 0.0, 0.0
+            for k in range(3):
+                level, expected = levels[k, frame[r, c, k]] * g, float(ground[r, c, k])
+                largest = max(largest, abs(level - expected))
+                ratio = (level + 2.0) / (expected + 2.0)
+                ratio_low, ratio_high = min(ratio_low, ratio), max(ratio_high, ratio)
+                brightest = max(brightest, expected)
+            strength = (largest - tolerance) / threshold - 0.5
+            if strength <= 0.0:
+                evidence[r, c] = 0
+                classes[r, c] = GROUND
+                continue
+            evidence[r, c] = int(min(strength, 1.0) * FULL)
+            shaded = ratio_low >= shadow_low and ratio_high <= shadow_high and brightest >= _DARKEST_LEVEL
+            classes[r, c] = SHADOW if shaded else OBJECT

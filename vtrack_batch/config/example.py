@@ -1,0 +1,67 @@
+"""The commented example survey, written from the parameters' own descriptions and defaults."""
+
+from __future__ import annotations
+
+import json
+import textwrap
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import BaseModel
+
+from vtrack_batch.config.survey import Survey
+
+HEADER = """\
+# yaml-language-server: $schema=./survey.schema.json
+# A survey of vtrack-batch. Every key is optional; what stands here are the defaults.
+# Lengths are in metres, times in seconds, speeds in metres a second; paths are relative to this file.
+"""
+
+
+def example_yaml(chosen: Mapping[str, Mapping[str, Any] | Any] | None = None) -> str:
+    """Return a complete commented survey file; *chosen* replaces defaults, by section and key."""
+    survey = Survey.model_validate(chosen or {})
+    lines = [HEADER]
+    for name, field in Survey.model_fields.items():
+        value = getattr(survey, name)
+        lines += _comment(field.description, "")
+        if isinstance(value, BaseModel):
+            lines.append(f"{name}:")
+            lines += _section(value)
+        else:
+            lines.append(f"{name}: {_scalar(value)}")
+        lines.append("")
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def schema_json() -> str:
+    """Return the JSON schema of the survey file, for editors."""
+    return json.dumps(Survey.model_json_schema(), indent=2, sort_keys=True, ensure_ascii=False) + "\n"
+
+
+def _section(values: BaseModel, indent: str = "  ") -> list[str]:
+    lines: list[str] = []
+    for name, field in type(values).model_fields.items():
+        value = getattr(values, name)
+        lines += _comment(field.description, indent)
+        if isinstance(value, BaseModel):
+            lines.append(f"{indent}{name}:")
+            lines += _section(value, indent + "  ")
+        else:
+            lines.append(f"{indent}{name}: {_scalar(value)}")
+    return lines
+
+
+def _comment(text: str | None, indent: str) -> list[str]:
+    return textwrap.wrap(text or "", 116, initial_indent=f"{indent}# ", subsequent_indent=f"{indent}# ")
+
+
+def _scalar(value: Any) -> str:
+    """Return *value* as YAML on one line; JSON is a subset of YAML 1.2."""
+    if isinstance(value, tuple | list):
+        return "[" + ", ".join(_scalar(item) for item in value) + "]"
+    if isinstance(value, BaseModel):
+        return "{" + ", ".join(f"{key}: {_scalar(item)}" for key, item in value) + "}"
+    if hasattr(value, "isoformat"):
+        value = value.isoformat()
+    return json.dumps(value, ensure_ascii=False)

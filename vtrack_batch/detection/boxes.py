@@ -1,0 +1,194 @@
+"""Greedy fit of oriented boxes to the evidence: the best box first, its pixels taken, then the next.
+
+Evidence inside counts for a box, occupied rims against it (two cars in a row are two boxes, not a lorry), and cast
+shadow on the far side from the sun for it. So queues are split, and cars cut by their windscreen stay whole.
+"""
+
+from __future__ import annotations
+
+from heapq import heapify, heappop, heappush
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from vtrack_batch.background.subtract import FULL, OBJECT, SHADOW, UNSEEN, Difference
+from vtrack_batch.detection.params import DetectionParams
+from vtrack_batch.detection.templates import CAST, FRONT, INSIDE, RIGHT, Templates
+
+Boxes = NDArray[np.float64]
+"""(n, 6): column, row (sub-pixel), direction, size (indices), score, share of it that is visible."""
+
+_HIDDEN = -1000
+_TAKEN = -50
+_MOST_TAKEN = 0.3
+
+
+def fit_boxes(
+    difference: Difference, templates: Templates, seeds: NDArray[np.int32], params: DetectionParams
+) -> Boxes:
+    """Return boxes whose score is at least ``weak_score``, best first; *seeds* (n, 2) = rows, columns to try."""
+    margin = int(np.abs(templates.offsets).max()) + 6
+    inner, rim, cast = _layers(difference.evidence, difference.classes, margin, params.shadow_evidence)
+    width = inner.shape[1]
+    offsets = templates.offsets[:, 0] * width + templates.offsets[:, 1]
+    places = (seeds[:, 0] + margin) * width + seeds[:, 1] + margin
+    weights = np.array([params.rim_weight, params.shadow_weight, params.visible_share, params.weak_score])
+    layers = inner.ravel(), rim.ravel(), cast.ravel()
+    boxes = _fit(*layers, width, offsets, templates.starts, templates.half_axes, places.astype(np.int64), weights)
+    boxes[:, :2] -= margin
+    return np.asarray(boxes)
+
+
+@njit(cache=True, nogil=True)
+def _layers(evidence, classes, margin, shadow_evidence):  # type: ignore[no-untyped-def]
+    """What each pixel counts for inside a box, on its rim and in its shadow; with a hidden *margin* all around."""
+    height, width = evidence.shape
+    inner = np.full((height + 2 * margin, width + 2 * margin), _HIDDEN, np.int16)
+    rim = np.zeros(inner.shape, np.int16)
+    cast = np.zeros(inner.shape, np.int16)
+    for r in range(height):
+        for c in range(width):
+            kind, value = classes[r, c], np.int16(evidence[r, c])
+            if kind != UNSEEN:
+                i, j = r + margin, c + margin
+                inner[i, j] = np.int16(value * shadow_evidence) if kind == SHADOW else value
+                rim[i, j] = value if kind == OBJECT else 0
+                cast[i, j] = 1 if kind == SHADOW else 0
+    return inner, rim, cast
+
+
+@njit(cache=True, nogil=True)
+def _fit(inner, rim, cast, width, offsets, starts, half_axes, places, weights):  # type: ignore[no-untyped-def]
+    best = np.zeros((len(places), 3))
+    queue = [(0.0, 0)]
+    queue.clear()
+    weak = weights[3]
+    for i in range(len(places)):
+        _best_box(inner, rim, cast, offsets, starts, places[i], weights, weak, best[i])
+        if best[i, 0] >= weak:
+            queue.append((-best[i, 0], i))
+    heapify(queue)
+    boxes = np.zeros((len(queue), 6))
+    found = 0
+    while len(queue) > 0:
+        _, i = heappop(queue)
+        before, d, k = best[i, 0], int(best[i, 1]), int(best[i, 2])
+        if _score(inner, rim, cast, offsets, starts[d, k], places[i], weights, -9.0) < before - 1e-9:
+            # Some of its pixels went to a better box: what else fits here?
+            if inner[places[i]] != _TAKEN:
+                _best_box(inner, rim, cast, offsets, starts, places[i], weights, weak, best[i])
+                if weak <= best[i, 0] < before:
+                    heappush(queue, (-best[i, 0], i))
+            continue
+        place, score = _climb(inner, rim, cast, width, offsets, starts[d, k], places[i], before, weights)
+        if _share_of(inner, offsets, starts[d, k], place, _TAKEN) > _MOST_TAKEN:
+            continue
+        right, down = _sub_pixel(inner, rim, cast, width, offsets, starts[d, k], place, score, weights)
+        boxes[found, 0], boxes[found, 1] = place % width + right, place // width + down
+        boxes[found, 2], boxes[found, 3], boxes[found, 4] = d, k, score
+        boxes[found, 5] = 1.0 - _share_of(inner, offsets, starts[d, k], place, _HIDDEN)
+        _take(inner, rim, width, place, half_axes[d, k])
+        found += 1
+    return boxes[:found]
+
+
+@njit(cache=True, nogil=True)
+def _best_box(inner, rim, cast, offsets, starts, place, weights, least, best):  # type: ignore[no-untyped-def]
+    """Write the score, direction and size of the best box at *place* to *best*; below *least* none is looked for."""
+    best[0] = least - 1e-9
+    found = False
+    for d in range(starts.shape[0]):
+        for k in range(starts.shape[1]):
+            score = _score(inner, rim, cast, offsets, starts[d, k], place, weights, best[0])
+            if score > best[0]:
+                best[0], best[1], best[2] = score, d, k
+                found = True
+    if not found:
+        best[0] = -9.0
+
+
+@njit(cache=True, nogil=True)
+def _score(inner, rim, cast, offsets, starts, place, weights, least):  # type: ignore[no-untyped-def]
+    """Score of one box; -9 as soon as it cannot exceed *least*."""
+    total, visible = 0, 0
+    first, last = starts[INSIDE], starts[INSIDE + 1]
+    for n in range(first, last):
+        value = inner[place + offsets[n]]
+        if value != _HIDDEN:
+            visible += 1
+            total += value
+    if visible < weights[2] * (last - first):
+        return -9.0
+    score = total / (FULL * visible)
+    bonus = weights[1] if starts[CAST + 1] > starts[CAST] else 0.0
+    if score + bonus <= least:
+        return -9.0
+    for part in range(FRONT, RIGHT + 1):
+        busy = 0
+        for n in range(starts[part], starts[part + 1]):
+            busy += rim[place + offsets[n]]
+        score -= weights[0] * busy / (4 * FULL * (starts[part + 1] - starts[part]))
+    if bonus == 0.0 or score + bonus <= least:
+        return score
+    shaded = 0
+    for n in range(starts[CAST], starts[CAST + 1]):
+        shaded += cast[place + offsets[n]]
+    return score + weights[1] * shaded / (starts[CAST + 1] - starts[CAST])
+
+
+@njit(cache=True, nogil=True)
+def _climb(inner, rim, cast, width, offsets, starts, place, score, weights):  # type: ignore[no-untyped-def]
+    """Move the box to the best place nearby: seeds lie wider apart than pixels."""
+    for _ in range(4):
+        best, at = score, place
+        for i in range(-1, 2):
+            for j in range(-1, 2):
+                other = _score(inner, rim, cast, offsets, starts, place + i * width + j, weights, best)
+                if other > best + 1e-9:
+                    best, at = other, place + i * width + j
+        if at == place:
+            break
+        place, score = at, best
+    return place, score
+
+
+@njit(cache=True, nogil=True)
+def _sub_pixel(inner, rim, cast, width, offsets, starts, place, score, weights):  # type: ignore[no-untyped-def]
+    """Vertex of the parabolas through the score here and one pixel to each side: (to the right, down)."""
+    left = _score(inner, rim, cast, offsets, starts, place - 1, weights, -9.0)
+    right = _score(inner, rim, cast, offsets, starts, place + 1, weights, -9.0)
+    above = _score(inner, rim, cast, offsets, starts, place - width, weights, -9.0)
+    below = _score(inner, rim, cast, offsets, starts, place + width, weights, -9.0)
+    return _vertex(left, score, right), _vertex(above, score, below)
+
+
+@njit(cache=True, nogil=True)
+def _vertex(before, here, after):  # type: ignore[no-untyped-def]
+    bend = before - 2 * here + after
+    if bend >= -1e-9:
+        return 0.0
+    return min(max(0.5 * (before - after) / bend, -0.5), 0.5)
+
+
+@njit(cache=True, nogil=True)
+def _share_of(inner, offsets, starts, place, what):  # type: ignore[no-untyped-def]
+    count = 0
+    for n in range(starts[INSIDE], starts[INSIDE + 1]):
+        count += inner[place + offsets[n]] == what
+    return count / (starts[INSIDE + 1] - starts[INSIDE])
+
+
+@njit(cache=True, nogil=True)
+def _take(inner, rim, width, place, half_axes):  # type: ignore[no-untyped-def]
+    """Mark the pixels of the box with *half_axes* (along x, along y, across x, across y) in px as taken."""
+    lx, ly, wx, wy = half_axes
+    reach_r, reach_c = int(abs(ly) + abs(wy)) + 1, int(abs(lx) + abs(wx)) + 1
+    determinant = lx * wy - ly * wx
+    for y in range(-reach_r, reach_r + 1):
+        for x in range(-reach_c, reach_c + 1):
+            if abs(x * wy - y * wx) <= abs(determinant) and abs(y * lx - x * ly) <= abs(determinant):
+                at = place + y * width + x
+                rim[at] = 0
+                if inner[at] != _HIDDEN:
+                    inner[at] = _TAKEN

@@ -1,0 +1,171 @@
+"""Vehicle candidates of one frame: boxes over what differs from the background, weak ones included, with their score."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vtrack_batch.background.coverage import has_data
+from vtrack_batch.background.learn import Background
+from vtrack_batch.background.subtract import FULL, UNSEEN, Difference, subtract
+from vtrack_batch.detection.boxes import fit_boxes
+from vtrack_batch.detection.measure import measure
+from vtrack_batch.detection.params import DetectionParams
+from vtrack_batch.detection.templates import draw_templates
+from vtrack_batch.model import homography
+from vtrack_batch.model.flags import DetectionFlag
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Candidates of one frame, one element each, in the frame's pixels; sorted by row, then column.
+
+    ``col_px``, ``row_px`` centre; ``lx_px``, ``ly_px`` from the centre to the front end, ``wx_px``, ``wy_px`` to the
+    side; ``area_px`` pixels inside that differ from the ground; ``red``, ``green``, ``blue`` paint colour at the
+    background's exposure; ``contrast`` mean difference from the ground; ``score``; ``flags`` bits of DetectionFlag.
+    """
+
+    col_px: NDArray[np.float64]
+    row_px: NDArray[np.float64]
+    lx_px: NDArray[np.float64]
+    ly_px: NDArray[np.float64]
+    wx_px: NDArray[np.float64]
+    wy_px: NDArray[np.float64]
+    area_px: NDArray[np.float64]
+    red: NDArray[np.float64]
+    green: NDArray[np.float64]
+    blue: NDArray[np.float64]
+    contrast: NDArray[np.float64]
+    score: NDArray[np.float64]
+    flags: NDArray[np.int32]
+
+    def __len__(self) -> int:
+        return len(self.col_px)
+
+    def take(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Candidates:
+        """Return the candidates that a mask or an array of indices chooses."""
+        return Candidates(**{field.name: getattr(self, field.name)[chosen] for field in fields(self)})
+
+
+def find_candidates(
+    pixels: NDArray[np.uint8],
+    frame_to_reference: NDArray[np.float64],
+    background: Background,
+    *,
+    metres_per_px: tuple[float, float],
+    params: DetectionParams,
+) -> Candidates:
+    """Fit boxes to what differs from *background* in the frame *pixels* (H, W, 3) uint8 RGB.
+
+    *metres_per_px* = ground distance of the reference's pixels along columns and rows.
+    """
+    steps = (_steps(params.grid_m, metres_per_px[0]), _steps(params.grid_m, metres_per_px[1]))
+    to_frame = _grid_to_frame(steps)
+    picture = _reduced(pixels, steps)
+    px_per_m = _px_per_m(frame_to_reference, pixels.shape, metres_per_px, steps)
+    to_ground = np.linalg.inv(to_frame) @ frame_to_reference @ to_frame
+    difference = subtract(
+        picture,
+        background.ground(*steps),
+        to_ground,
+        threshold=params.threshold_levels,
+        shadow_band=background.shadows.band,
+        tile_px=params.gain_tile_m * float(np.mean(px_per_m)),
+    )
+    difference.classes[_reduced(has_data(pixels), steps) == 0] = UNSEEN
+    shadow = _in_frame(background.shadows.direction, frame_to_reference)
+    templates = draw_templates(px_per_m, shadow, params)
+    seeds = _seeds(difference, px_per_m, params)
+    boxes = fit_boxes(difference, templates, seeds, params)
+    return _candidates(picture, difference, boxes, templates.half_axes, steps)
+
+
+# the grid -------------------------------------------------------------------------------------------------------------
+
+
+def _steps(grid_m: float, metres_per_px: float) -> int:
+    return max(1, round(grid_m / metres_per_px))
+
+
+def _grid_to_frame(steps: tuple[int, int]) -> NDArray[np.float64]:
+    """Return the map (3, 3) from pixels of the reduced picture to pixels of the frame."""
+    return np.array([[steps[0], 0.0, (steps[0] - 1) / 2], [0.0, steps[1], (steps[1] - 1) / 2], [0.0, 0.0, 1.0]])
+
+
+def _reduced(image: NDArray[np.uint8], steps: tuple[int, int]) -> NDArray[np.uint8]:
+    if steps == (1, 1):
+        return np.ascontiguousarray(image)
+    width, height = image.shape[1] // steps[0], image.shape[0] // steps[1]
+    whole = image[: height * steps[1], : width * steps[0]]
+    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _px_per_m(
+    frame_to_reference: NDArray[np.float64],
+    shape: tuple[int, ...],
+    metres_per_px: tuple[float, float],
+    steps: tuple[int, int],
+) -> tuple[float, float]:
+    """Return the scale of the reduced picture: the platform may have climbed since the reference frame."""
+    middle = np.array([[shape[1] / 2, shape[0] / 2]])
+    local = homography.jacobian(frame_to_reference, middle)[0]
+    metres = np.hypot(*(local * np.array(metres_per_px)[:, None])) * np.array(steps)
+    return float(1 / metres[0]), float(1 / metres[1])
+
+
+def _in_frame(
+    direction: tuple[float, float] | None, frame_to_reference: NDArray[np.float64]
+) -> tuple[float, float] | None:
+    if direction is None:
+        return None
+    turned = np.linalg.solve(frame_to_reference[:2, :2], np.array(direction))
+    turned /= np.linalg.norm(turned)
+    return float(turned[0]), float(turned[1])
+
+
+# seeds and results ----------------------------------------------------------------------------------------------------
+
+
+def _seeds(difference: Difference, px_per_m: tuple[float, float], params: DetectionParams) -> NDArray[np.int32]:
+    """Return places (n, 2) row, column on a coarse grid around which most pixels differ."""
+    step_r, step_c = (max(1, round(params.seed_step_m * scale)) for scale in (px_per_m[1], px_per_m[0]))
+    window = (2 * round(0.6 * px_per_m[0]) + 1, 2 * round(0.6 * px_per_m[1]) + 1)
+    around = cv2.blur(difference.evidence, window)[::step_r, ::step_c]
+    rows, columns = np.nonzero((around >= 0.5 * params.weak_score * FULL) & (difference.classes[::step_r, ::step_c] != UNSEEN))
+    return np.stack([rows * step_r, columns * step_c], axis=1).astype(np.int32)
+
+
+def _candidates(
+    picture: NDArray[np.uint8],
+    difference: Difference,
+    boxes: NDArray[np.float64],
+    half_axes: NDArray[np.float64],
+    steps: tuple[int, int],
+) -> Candidates:
+    boxes = boxes[np.lexsort((boxes[:, 0], boxes[:, 1]))]
+    axes = half_axes[boxes[:, 2].astype(int), boxes[:, 3].astype(int)]
+    placed = np.concatenate([boxes[:, :2], axes], axis=1)
+    exposure = difference.exposure
+    gain = exposure.gain_map(*picture.shape[:2])
+    refined, colour = measure(picture, difference.ground, difference.classes, difference.evidence, exposure.levels, gain, placed)
+    x, y = float(steps[0]), float(steps[1])
+    flags = np.where(colour[:, 5] > 0, int(DetectionFlag.TOUCHES_BORDER), 0)
+    flags |= np.where(colour[:, 6] > 0, int(DetectionFlag.NEAR_UNSEEN), 0)
+    return Candidates(
+        col_px=refined[:, 0] * x + (x - 1) / 2,
+        row_px=refined[:, 1] * y + (y - 1) / 2,
+        lx_px=refined[:, 2] * x,
+        ly_px=refined[:, 3] * y,
+        wx_px=refined[:, 4] * x,
+        wy_px=refined[:, 5] * y,
+        area_px=colour[:, 3] * x * y,
+        red=colour[:, 0],
+        green=colour[:, 1],
+        blue=colour[:, 2],
+        contrast=colour[:, 4],
+        score=boxes[:, 4],
+        flags=flags.astype(np.int32),
+    )

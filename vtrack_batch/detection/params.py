@@ -1,0 +1,41 @@
+"""Parameters of the detection."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from vtrack_batch.model.params import Params
+
+
+class DetectionParams(Params):
+    """How vehicles are found in the difference of a frame from the background."""
+
+    grid_m: float = Field(0.29, gt=0, description="finest ground distance worked on; finer frames are reduced to about it")
+    threshold_levels: float = Field(12.0, gt=0, description="difference beyond the tolerance that gives half evidence")
+    gain_tile_m: float = Field(24.0, gt=0, description="distance of the nodes of the smooth gain between frame and ground")
+    sizes_m: tuple[tuple[float, float], ...] = Field(
+        ((4.4, 1.8), (5.6, 2.1), (8.0, 2.5), (12.0, 2.6), (16.5, 2.6)),
+        min_length=1,
+        description="length and width of the boxes that are fitted, the commonest first",
+    )
+    directions: int = Field(12, ge=2, le=60, description="directions of boxes that are tried, evenly spread over 180 degrees")
+    seed_step_m: float = Field(0.6, gt=0, description="distance of the places at which boxes are tried")
+    rim_m: float = Field(0.45, gt=0, description="distance from the box of the rim that should be free")
+    rim_weight: float = Field(0.7, ge=0, description="what a wholly occupied rim takes from a box's score")
+    shadow_evidence: float = Field(0.4, ge=0, le=1, description="weight of shadow-like pixels inside a box")
+    shadow_weight: float = Field(0.15, ge=0, description="what a complete cast shadow adds to a box's score")
+    shadow_reach_m: float = Field(1.2, gt=0, description="length of cast shadow that is looked for")
+    weak_score: float = Field(0.5, gt=0, le=1, description="least score of a candidate on a known road")
+    strict_score: float = Field(0.60, gt=0, le=1.5, description="least score of a candidate anywhere")
+    visible_share: float = Field(0.6, gt=0, le=1, description="least share of a box inside the frame and on seen ground")
+    chain_score: float = Field(0.55, gt=0, le=1.5, description="least score of a candidate in a chain that teaches the road")
+    chain_links: int = Field(4, ge=3, description="sightings in a chain that teaches the road")
+    chain_interval_s: float = Field(0.5, gt=0, description="least time between sightings of a chain")
+    chain_speed_mps: float = Field(3.0, gt=0, description="least speed of a chain")
+    fastest_mps: float = Field(60.0, gt=0, description="highest speed of a chain")
+    chain_miss_m: float = Field(1.0, gt=0, description="most that a sighting may miss its chain by, sideways")
+    chain_accel_mps2: float = Field(2.5, ge=0, description="acceleration that a chain may show")
+    chain_colour: float = Field(40.0, gt=0, description="largest difference of colour within a chain, in levels")
+    fewest_chains: int = Field(5, ge=1, description="chains without which a road is not believed")
+    road_reach_m: float = Field(2.5, gt=0, description="how far the road reaches to both sides of a chain")
+    road_ahead_m: float = Field(12.0, ge=0, description="how far the road goes on straight before and after a chain")

@@ -1,0 +1,118 @@
+"""The place: where traffic runs, learned from fast straight chains; weak candidates count there and nowhere else.
+
+False alarms are mostly roofs and facades seen from a moving platform. They are as strong as vehicles, but they are not
+where fast things run. Source: two-round detection, measured on real frames; no frame is decoded twice, because weak
+candidates are kept with their score.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vtrack_batch.detection.candidates import Candidates
+from vtrack_batch.detection.chains import Sightings, find_chains
+from vtrack_batch.detection.params import DetectionParams
+from vtrack_batch.model import homography
+from vtrack_batch.model.homography import Array
+
+_CELL_M = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """What candidates told of the place.
+
+    ``road`` (rows, columns) bool in cells of 0.5 m, the first at ``origin_m`` of the reference's metres; ``learned`` =
+    enough chains were found; ``chained`` = for every frame the rows of candidates that belong to chains.
+    """
+
+    road: NDArray[np.bool_]
+    origin_m: Array
+    metres_per_px: tuple[float, float]
+    learned: bool
+    chained: tuple[NDArray[np.int64], ...]
+
+    def on_road(self, xy_m: Array) -> NDArray[np.bool_]:
+        """Return which points (n, 2), in the reference's metres, lie on the road."""
+        cell = np.floor((xy_m - self.origin_m) / _CELL_M).astype(int)
+        inside = (cell >= 0).all(axis=1) & (cell < self.road.shape[::-1]).all(axis=1)
+        on = np.zeros(len(xy_m), np.bool_)
+        on[inside] = self.road[cell[inside, 1], cell[inside, 0]]
+        return on
+
+
+def learn_place(
+    candidates: Sequence[Candidates],
+    poses: Sequence[Array],
+    times_s: Array,
+    *,
+    metres_per_px: tuple[float, float],
+    params: DetectionParams,
+) -> Place:
+    """Learn the road from the strict candidates of all frames of a block.
+
+    *poses* take each frame's px to the reference's, *times_s* (n,) are seconds from any start. With fewer than
+    ``fewest_chains`` chains the place counts as not learned.
+    """
+    strict = [np.nonzero(found.score >= params.chain_score)[0] for found in candidates]
+    seen = [_sightings(f.take(rows), pose, metres_per_px) for f, rows, pose in zip(candidates, strict, poses, strict=True)]
+    chains, frames = find_chains(seen, np.asarray(times_s, float), params)
+    chained = tuple(strict[i][np.unique(chains[frames == i])] for i in range(len(seen)))
+    lines = [np.array([seen[f].xy[n] for f, n in zip(frames[m], chains[m], strict=True)]) for m in range(len(chains))]
+    learned = len(lines) >= params.fewest_chains
+    road, origin = _draw(lines, params) if learned else (np.zeros((1, 1), np.bool_), np.zeros(2))
+    return Place(road, origin, metres_per_px, learned, chained)
+
+
+def select(
+    candidates: Candidates, frame_to_reference: Array, place: Place, *, frame: int, params: DetectionParams
+) -> NDArray[np.bool_]:
+    """Return which candidates (n,) bool of the frame with number *frame* in ``learn_place`` are taken for vehicles.
+
+    On the road weak ones count; elsewhere only those that belong to a fast straight chain. Where nothing was learned,
+    strict ones count everywhere.
+    """
+    if not place.learned:
+        return np.asarray(candidates.score >= params.strict_score)
+    chained = np.zeros(len(candidates), np.bool_)
+    chained[place.chained[frame]] = True
+    xy = homography.apply(frame_to_reference, np.stack([candidates.col_px, candidates.row_px], axis=1))
+    return np.asarray(chained | (place.on_road(xy * place.metres_per_px) & (candidates.score >= params.weak_score)))
+
+
+def _sightings(candidates: Candidates, pose: Array, metres_per_px: tuple[float, float]) -> Sightings:
+    centre = np.stack([candidates.col_px, candidates.row_px], axis=1)
+    along = np.stack([candidates.lx_px, candidates.ly_px], axis=1)
+    axis = np.einsum("nij,nj->ni", homography.jacobian(pose, centre), along) * metres_per_px
+    axis /= np.maximum(np.linalg.norm(axis, axis=1), 1e-9)[:, None]
+    colour = np.stack([candidates.red, candidates.green, candidates.blue], axis=1)
+    return Sightings(homography.apply(pose, centre) * metres_per_px, axis, colour)
+
+
+def _draw(lines: Sequence[Array], params: DetectionParams) -> tuple[NDArray[np.bool_], Array]:
+    """Return the road as cells, and the corner of the first: all chains, as wide as a lane and a bit."""
+    everything = np.concatenate(lines)
+    margin = 2 * params.road_reach_m + params.road_ahead_m
+    origin = everything.min(axis=0) - margin
+    extent = np.ceil((everything.max(axis=0) + margin - origin) / _CELL_M).astype(int)
+    count = np.zeros((extent[1], extent[0]), np.uint8)
+    for line in lines:
+        drawn = np.zeros_like(count)
+        points = np.rint((_extended(line, params.road_ahead_m) - origin) / _CELL_M - 0.5).astype(np.int32)
+        cv2.polylines(drawn, [points], False, 1, thickness=max(1, round(2 * params.road_reach_m / _CELL_M)))
+        count = cv2.add(count, drawn)
+    needed = 1 if len(lines) < 8 * params.fewest_chains else 2
+    return count >= needed, origin
+
+
+def _extended(line: Array, by_m: float) -> Array:
+    """Return *line* (n, 2) with a straight piece of *by_m* before and after it."""
+    first, last = line[0] - line[1], line[-1] - line[-2]
+    before = line[0] + first * by_m / np.linalg.norm(first)
+    after = line[-1] + last * by_m / np.linalg.norm(last)
+    return np.concatenate([before[None], line, after[None]])

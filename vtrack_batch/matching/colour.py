@@ -1,0 +1,143 @@
+"""What colour says before any motion is looked at: the paper's initial probabilities, and a likelihood ratio."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from vtrack_batch.matching.candidates import Array, Edges, Index
+from vtrack_batch.matching.params import ColourParams
+from vtrack_batch.matching.relaxation import Labels
+
+NO_MATCH_DISTANCE = 3 * (255.0 / 3) ** 2
+"""Expected squared colour distance of no match (Fuse & Shimizu, eq. 8)."""
+FLOOR = 1e-6
+"""Least initial probability of a candidate: the updates multiply, so that nothing returns from exactly zero."""
+
+
+def equal_labels(edges: Edges) -> Labels:
+    """Start with equal probabilities, no match included: 1 / (L + 1), methods (a) and (c)."""
+    labels_i = np.bincount(edges.i, minlength=edges.n) + 1.0
+    labels_k = np.bincount(edges.k, minlength=edges.m) + 1.0
+    return Labels(1 / labels_i[edges.i], 1 / labels_k[edges.k], 1 / labels_i, 1 / labels_k)
+
+
+def colour_labels(edges: Edges, earlier_rgb: Array, later_rgb: Array) -> Labels:
+    """Start with the paper's colour probabilities (eq. 7-11), methods (b) and (d); colours (n, 3), (m, 3) in 0-255."""
+    distance = ((earlier_rgb[edges.i] - later_rgb[edges.k]) ** 2).sum(axis=1)
+    p, p_none = _complement(distance, edges.i, edges.n)
+    q, q_none = _complement(distance, edges.k, edges.m)
+    return Labels(p, q, p_none, q_none)
+
+
+def _complement(distance: Array, owner: Index, size: int) -> tuple[Array, Array]:
+    """Eq. 9-11: one minus the share of the distance, shared among the L + 1 labels; certain no match where L = 0."""
+    total = np.bincount(owner, weights=distance, minlength=size) + NO_MATCH_DISTANCE
+    count = np.bincount(owner, minlength=size)
+    some = np.maximum(count, 1)
+    none = np.where(count == 0, 1.0, (1 - NO_MATCH_DISTANCE / total) / some)
+    p = (1 - distance / total[owner]) / some[owner]
+    return np.maximum(p, FLOOR), np.maximum(none, FLOOR)
+
+
+class Paint:
+    """Likelihood ratio of "one vehicle" against "two at random", given how colours are spread in the place.
+
+    Red beside red says much, white beside white little: the density of *population* (s, 3) RGB says which is which.
+    """
+
+    def __init__(self, population_rgb: Array, params: ColourParams, *, sample: int = 256) -> None:
+        every = max(1, len(population_rgb) // sample)
+        # sorted, so that the sample does not depend on the order of rows
+        ordered = population_rgb[np.lexsort(population_rgb.T)] if len(population_rgb) else np.zeros((1, 3))
+        self._population = opponent(ordered[::every])
+        self.noise = np.array(
+            [params.brightness_sigma, params.gain_sigma, params.chroma_sigma, params.outlier_share], float
+        )
+        """What ``log_same_paint`` needs to know of the noise."""
+
+    def log_density(self, rgb: Array) -> Array:
+        """Return the log density (n,) of the colours *rgb* (n, 3) in the population, in opponent axes."""
+        return np.asarray(_log_mixture(opponent(rgb), self._population, self.noise))
+
+    def log_ratio(self, first_rgb: Array, second_rgb: Array) -> Array:
+        """Return log p(same) / p(random) (n,) of pairs of colours, each of one sighting; symmetric."""
+        log_random = 0.5 * (self.log_density(first_rgb) + self.log_density(second_rgb))
+        return self.log_ratio_given(first_rgb, second_rgb, log_random)
+
+    def log_ratio_given(self, first_rgb: Array, second_rgb: Array, log_random: Array) -> Array:
+        """Like ``log_ratio``, with the log density of a random pair (n,) already known."""
+        return np.asarray(_log_ratios(opponent(first_rgb), opponent(second_rgb), log_random, self.noise))
+
+
+def opponent(rgb: Array) -> Array:
+    """Return brightness, R - G and (R + G) / 2 - B, (n, 3): the axes in which light and paint vary apart."""
+    r, g, b = np.asarray(rgb, float).reshape(-1, 3).T
+    return np.column_stack([(r + g + b) / 3, r - g, (r + g) / 2 - b])
+
+
+def learned_noise(first_rgb: Array, second_rgb: Array, params: ColourParams) -> ColourParams:
+    """Return *params* with the spreads that pairs of colours (n, 3) of the same vehicles show, robustly.
+
+    Brightness and chroma are scaled apart, by the median of their differences in units of the assumed spread; a few
+    pairs move the assumption little, many replace it.
+    """
+    first, second = opponent(first_rgb), opponent(second_rgb)
+    off = np.abs(first - second) / np.sqrt(2)
+    brightness = 0.5 * (first[:, 0] + second[:, 0])
+    light = _spread(off[:, 0] / np.hypot(params.brightness_sigma, params.gain_sigma * brightness))
+    chroma = _spread(off[:, 1:].ravel() / params.chroma_sigma)
+    return params.model_copy(
+        update={
+            "brightness_sigma": params.brightness_sigma * light,
+            "gain_sigma": params.gain_sigma * light,
+            "chroma_sigma": params.chroma_sigma * chroma,
+        }
+    )
+
+
+def _spread(ratios: Array, assumed: float = 20.0) -> float:
+    """Return the standard deviation that the median of absolute values tells, drawn to 1 as if by *assumed* values."""
+    if not len(ratios):
+        return 1.0
+    found = max(float(np.median(ratios)) / 0.6745, 0.3)
+    share = len(ratios) / (len(ratios) + assumed)
+    return float(np.exp(share * np.log(found)))
+
+
+@njit(cache=True, nogil=True)
+def log_same_paint(first, second, variance, log_random, noise):  # type: ignore[no-untyped-def]
+    """Log-likelihood ratio of two mean colours (3,) in opponent axes being one vehicle's.
+
+    *variance* is that of their difference in units of one sighting's: 1 / n_first + 1 / n_second.
+    """
+    brightness = 0.5 * (first[0] + second[0])
+    v_light = (noise[0] ** 2 + (noise[1] * brightness) ** 2) * variance
+    v_chroma = noise[2] ** 2 * variance
+    z = (first[0] - second[0]) ** 2 / v_light
+    z += ((first[1] - second[1]) ** 2 + (first[2] - second[2]) ** 2) / v_chroma
+    log_same = -0.5 * z - 0.5 * np.log(v_light) - np.log(v_chroma) - 1.5 * np.log(2 * np.pi)
+    return np.logaddexp(np.log1p(-noise[3]) + log_same - log_random, np.log(noise[3]))
+
+
+@njit(cache=True, nogil=True)
+def _log_ratios(first, second, log_random, noise):  # type: ignore[no-untyped-def]
+    out = np.empty(len(first))
+    for n in range(len(first)):
+        out[n] = log_same_paint(first[n], second[n], 2.0, log_random[n], noise)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _log_mixture(seen, population, noise):  # type: ignore[no-untyped-def]
+    out = np.empty(len(seen))
+    for n in range(len(seen)):
+        v_light = 2 * (noise[0] ** 2 + (noise[1] * seen[n, 0]) ** 2)
+        v_chroma = 2 * noise[2] ** 2
+        total = 1e-12
+        for s in range(len(population)):
+            z = (seen[n, 0] - population[s, 0]) ** 2 / v_light
+            z += ((seen[n, 1] - population[s, 1]) ** 2 + (seen[n, 2] - population[s, 2]) ** 2) / v_chroma
+            total += np.exp(-0.5 * z)
+        out[n] = np.log(total / len(population)) - 0.5 * np.log(v_light) - np.log(v_chroma) - 1.5 * np.log(2 * np.pi)
+    return out

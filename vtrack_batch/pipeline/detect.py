@@ -1,0 +1,336 @@
+"""Step ``detect``: one unit from encoded frames to detections in metres; each frame is read, used and let go."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from vtrack_batch.archive.decode import Decoded, decode
+from vtrack_batch.archive.read import read_bytes
+from vtrack_batch.background.learn import Background, Sample, learn_background
+from vtrack_batch.config.survey import Survey
+from vtrack_batch.detection.candidates import Candidates, find_candidates
+from vtrack_batch.detection.ground import measure_on_ground
+from vtrack_batch.detection.place import learn_place, select
+from vtrack_batch.errors import UnusableFrame
+from vtrack_batch.georeference.fix import GroundFix, scale_at
+from vtrack_batch.georeference.ground_grid import GroundGrid
+from vtrack_batch.georeference.ortho import orthorectify
+from vtrack_batch.model import homography
+from vtrack_batch.model.homography import Array
+from vtrack_batch.model.ids import detection_id
+from vtrack_batch.model.tables import TABLES
+from vtrack_batch.pipeline.ground import fix_ground
+from vtrack_batch.pipeline.parts import Context, matrix_columns, write
+from vtrack_batch.pipeline.plan import FrameRef, Piece, Unit
+from vtrack_batch.registration.alignment import Registration, register
+from vtrack_batch.registration.reference import Reference, prepare_reference
+from vtrack_batch.storage.geotiff import write_geotiff
+from vtrack_batch.storage.parquet import empty_frame
+
+
+def detect_unit(piece: Piece, context: Context) -> None:
+    """Read the unit's frames; write its tables and its ground picture."""
+    unit = piece.unit
+    assert unit is not None
+    log = FrameLog(unit)
+    reader = Reader(context.archive, context.survey.archive.max_pixels, log)
+    about: dict[str, Any] = {"name": piece.name}
+    with context.output.new_part(piece.step, piece.key, about) as folder:
+        block = _find_block(unit, reader, context)
+        detections = empty_frame(TABLES["detections"])
+        if block is not None:
+            background, reference = _first_pass(unit, block, reader, context.survey)
+            detections = _second_pass(unit, block, background, reference, reader, context.survey)
+            _write_ground(folder, block, background, context.survey)
+        _write(folder, log, block, detections)
+        about |= log.counts()
+
+
+# what is known of each frame ------------------------------------------------------------------------------------------
+
+
+@dataclass
+class FrameLog:
+    """What became of every frame of the unit."""
+
+    unit: Unit
+    size: dict[str, tuple[int, int]] = field(default_factory=dict)
+    pose: dict[str, Registration] = field(default_factory=dict)
+    refused: dict[str, UnusableFrame] = field(default_factory=dict)
+
+    def counts(self) -> dict[str, Any]:
+        """Return how many frames of the unit were used, and how many were refused for which reason."""
+        refused = [self.refused[ref.frame_id].reason for ref in self.unit.frames if ref.frame_id in self.refused]
+        return {"frames_used": len(self.unit.frames) - len(refused), "quarantined": dict(Counter(sorted(refused)))}
+
+    def refuse(self, ref: FrameRef, problem: UnusableFrame) -> None:
+        """Note that a frame cannot be used; for frames of the halo this is their own unit's concern to report."""
+        self.refused.setdefault(ref.frame_id, problem)
+
+
+@dataclass(frozen=True)
+class Reader:
+    """Reads and decodes frames; a frame that cannot be used is logged, and None is returned."""
+
+    root: Path
+    max_pixels: int
+    log: FrameLog
+
+    def data(self, ref: FrameRef) -> bytes:
+        """Return the bytes of the file."""
+        return read_bytes(self.root, ref.name)
+
+    def pixels(self, ref: FrameRef, expected: tuple[int, int] | None = None) -> NDArray[np.uint8] | None:
+        """Return the pixels (H, W, 3), or None; *expected* = (width, height) that the frame must have."""
+        if ref.frame_id in self.log.refused:
+            return None
+        try:
+            found: Decoded = decode(self.data(ref), max_pixels=self.max_pixels)
+            size = (found.width_px, found.height_px)
+            self.log.size[ref.frame_id] = size
+            if expected is not None and size != expected:
+                raise UnusableFrame(
+                    "geometry_changed",
+                    f"{size[0]} x {size[1]} px, the reference frame has {expected[0]} x {expected[1]}",
+                )
+        except UnusableFrame as problem:
+            self.log.refuse(ref, problem)
+            return None
+        return found.pixels
+
+
+# the block: its reference frame and the ground ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Block:
+    """The frames of a unit that share one reference and one background, and where the reference lies on the ground."""
+
+    ref: FrameRef
+    pixels: NDArray[np.uint8]
+    fix: GroundFix
+    metres_per_px: tuple[float, float]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in px."""
+        return self.pixels.shape[1], self.pixels.shape[0]
+
+
+def _find_block(unit: Unit, reader: Reader, context: Context) -> Block | None:
+    """Choose the unit's middle readable frame as reference and join it to the sequence's site frame."""
+    site = _first_readable(unit.site, reader)
+    middle = len(unit.frames) // 2
+    by_nearness = sorted(range(len(unit.frames)), key=lambda i: (abs(i - middle), i))
+    found = _first_readable([unit.frames[i] for i in by_nearness], reader)
+    if site is None or found is None:
+        return None
+    (site_ref, site_pixels), (ref, pixels) = site, found
+    height, width = site_pixels.shape[:2]
+    fix = fix_ground(context.survey, context.archive, site_ref, reader.data(site_ref), width, height)
+    if ref.frame_id != site_ref.frame_id:
+        joined = _join(pixels, site_pixels, fix, context.survey)
+        if joined is None:
+            problem = UnusableFrame("not_joined", f"its block's reference {ref.path} does not fit {site_ref.path}")
+            for other in unit.frames:
+                reader.log.refuse(other, problem)
+            return None
+        fix = joined
+    return Block(ref, pixels, fix, scale_at(fix.reference_to_ground, pixels.shape[1], pixels.shape[0]))
+
+
+def _first_readable(refs: Sequence[FrameRef], reader: Reader) -> tuple[FrameRef, NDArray[np.uint8]] | None:
+    for ref in refs:
+        pixels = reader.pixels(ref)
+        if pixels is not None:
+            if pixels.std() >= MIN_REFERENCE_SPREAD:
+                return ref, pixels
+            reader.log.refuse(ref, UnusableFrame("blank", "all pixels have nearly one value"))
+    return None
+
+
+MIN_REFERENCE_SPREAD = 2.0
+"""Standard deviation in grey levels below which a frame shows nothing."""
+
+
+def _join(
+    pixels: NDArray[np.uint8], site_pixels: NDArray[np.uint8], fix: GroundFix, survey: Survey
+) -> GroundFix | None:
+    """Return where the block's reference lies on the ground, through the site frame."""
+    pose = register(pixels, prepare_reference(site_pixels, params=survey.registration), params=survey.registration)
+    if not pose.accepted:
+        return None
+    to_ground = homography.normalised(fix.reference_to_ground @ pose.frame_to_reference)
+    metres = float(np.mean(fix.gsd_m)) * pose.residual_px
+    residual_m = float(np.hypot(fix.residual_m or 0.0, metres))
+    return GroundFix(to_ground, fix.method, residual_m, fix.crs, fix.gsd_m)
+
+
+# two passes -----------------------------------------------------------------------------------------------------------
+
+
+def _first_pass(unit: Unit, block: Block, reader: Reader, survey: Survey) -> tuple[Background, Reference]:
+    """Learn the background from frames spread over the unit and its halo, and a reference that avoids its traffic."""
+    rough = prepare_reference(block.pixels, params=survey.registration)
+    samples = [Sample(block.pixels, np.eye(3))]
+    for ref in _spread(unit, block.ref, survey.background.samples - 1):
+        pixels = reader.pixels(ref, block.size)
+        pose = register(pixels, rough, params=survey.registration) if pixels is not None else None
+        if pixels is not None and pose is not None and pose.accepted:
+            samples.append(Sample(pixels, pose.frame_to_reference))
+    background = learn_background(samples, params=survey.background)
+    return background, prepare_reference(block.pixels, avoid=background.activity, params=survey.registration)
+
+
+def _spread(unit: Unit, reference: FrameRef, count: int) -> list[FrameRef]:
+    """Return up to *count* frames of the unit and its halo, evenly spread in order of time, without the reference."""
+    pool = sorted((*unit.frames, *unit.halo), key=lambda ref: (ref.t_utc, ref.frame_id))
+    pool = [ref for ref in pool if ref.frame_id != reference.frame_id]
+    chosen: NDArray[np.int64] | list[int] = (
+        np.unique(np.linspace(0, len(pool) - 1, min(count, len(pool))).round().astype(int)) if pool else []
+    )
+    return [pool[i] for i in chosen]
+
+
+def _second_pass(
+    unit: Unit, block: Block, background: Background, reference: Reference, reader: Reader, survey: Survey
+) -> pd.DataFrame:
+    """Register every frame, find candidates, keep those that fit the block's place model; return detections."""
+    seen = list(_candidates(unit, block, background, reference, reader, survey))
+    if not seen:
+        return empty_frame(TABLES["detections"])
+    refs, poses, candidates = zip(*seen, strict=True)
+    times_s = np.array([(ref.t_utc - refs[0].t_utc) / np.timedelta64(1, "s") for ref in refs])
+    place = learn_place(candidates, poses, times_s, metres_per_px=block.metres_per_px, params=survey.detection)
+    tables = []
+    for index, (ref, pose, found) in enumerate(seen):
+        kept = found.take(select(found, pose, place, frame=index, params=survey.detection))
+        tables.append(_table(ref, unit.sequence, measure_on_ground(kept, block.fix.reference_to_ground @ pose)))
+    return pd.concat(tables, ignore_index=True)
+
+
+def _candidates(
+    unit: Unit, block: Block, background: Background, reference: Reference, reader: Reader, survey: Survey
+) -> Iterator[tuple[FrameRef, Array, Candidates]]:
+    for ref in unit.frames:
+        pixels = reader.pixels(ref, block.size)
+        if pixels is None:
+            continue
+        pose = register(pixels, reference, params=survey.registration)
+        reader.log.pose[ref.frame_id] = pose
+        if not pose.accepted:
+            reason = pose.reason or "not_registered"
+            reader.log.refuse(ref, UnusableFrame(reason, f"residual {pose.residual_px:.2f} px, {pose.inliers} inliers"))
+            continue
+        found = find_candidates(
+            pixels, pose.frame_to_reference, background, metres_per_px=block.metres_per_px, params=survey.detection
+        )
+        yield ref, pose.frame_to_reference, found
+
+
+# writing --------------------------------------------------------------------------------------------------------------
+
+
+def _table(ref: FrameRef, sequence: str, found: pd.DataFrame) -> pd.DataFrame:
+    """Complete one frame's measurements to rows of ``detections``; ids rank by place, row then column."""
+    found = found.sort_values(["row_px", "col_px"], kind="stable", ignore_index=True)
+    return found.assign(
+        detection_id=[detection_id(ref.frame_id, rank) for rank in range(len(found))],
+        frame_id=ref.frame_id,
+        sequence=sequence,
+        t_utc=pd.Timestamp(ref.t_utc, tz="UTC"),
+        vx_mps=np.nan,
+        vy_mps=np.nan,
+    )
+
+
+def _write(folder: Path, log: FrameLog, block: Block | None, detections: pd.DataFrame) -> None:
+    tables = {
+        "frames": _frames(log),
+        "registrations": _registrations(log, block),
+        "references": _references(block),
+        "detections": detections,
+        "quarantine": _quarantine(log),
+    }
+    write(folder, tables, block.fix.crs if block else None)
+
+
+def _frames(log: FrameLog) -> pd.DataFrame:
+    refs = log.unit.frames
+    sizes = [log.size.get(ref.frame_id, (None, None)) for ref in refs]
+    problems = [log.refused.get(ref.frame_id) for ref in refs]
+    return pd.DataFrame(
+        {
+            "frame_id": [ref.frame_id for ref in refs],
+            "sequence": log.unit.sequence,
+            "path": [ref.path for ref in refs],
+            "t_utc": pd.DatetimeIndex(np.array([ref.t_utc for ref in refs]), tz="UTC"),
+            "width_px": pd.array([width for width, _ in sizes], dtype="Int32"),
+            "height_px": pd.array([height for _, height in sizes], dtype="Int32"),
+            "sha256": [ref.sha256 for ref in refs],
+            "status": ["quarantined" if problem else "used" for problem in problems],
+            "reason": [problem.reason if problem else None for problem in problems],
+        }
+    )
+
+
+def _registrations(log: FrameLog, block: Block | None) -> pd.DataFrame:
+    done = [(ref, log.pose[ref.frame_id]) for ref in log.unit.frames if ref.frame_id in log.pose]
+    if block is None or not done:
+        return empty_frame(TABLES["registrations"])
+    poses = [pose for _, pose in done]
+    residual_px = np.array([pose.residual_px if np.isfinite(pose.residual_px) else np.nan for pose in poses])
+    return pd.DataFrame(
+        {
+            "frame_id": [ref.frame_id for ref, _ in done],
+            "reference_frame_id": block.ref.frame_id,
+            **matrix_columns("h", np.array([pose.frame_to_reference for pose in poses])),
+            "inliers": np.array([pose.inliers for pose in poses], "int32"),
+            "residual_px": residual_px,
+            "residual_m": residual_px * float(np.mean(block.metres_per_px)),
+            "accepted": [pose.accepted for pose in poses],
+        }
+    )
+
+
+def _references(block: Block | None) -> pd.DataFrame:
+    if block is None:
+        return empty_frame(TABLES["references"])
+    return pd.DataFrame(
+        {
+            "reference_frame_id": [block.ref.frame_id],
+            **matrix_columns("g", block.fix.reference_to_ground[None]),
+            "method": [block.fix.method],
+            "residual_m": [np.nan if block.fix.residual_m is None else block.fix.residual_m],
+            "crs": [block.fix.crs],
+        }
+    )
+
+
+def _quarantine(log: FrameLog) -> pd.DataFrame:
+    own = [(ref, log.refused[ref.frame_id]) for ref in log.unit.frames if ref.frame_id in log.refused]
+    return pd.DataFrame(
+        {
+            "path": [ref.path for ref, _ in own],
+            "reason": [problem.reason for _, problem in own],
+            "detail": [problem.detail or None for _, problem in own],
+        },
+        dtype=object,
+    )
+
+
+def _write_ground(folder: Path, block: Block, background: Background, survey: Survey) -> None:
+    """Write the block's background as GeoTIFF at the set ground sampling distance."""
+    corners_m = homography.apply(block.fix.reference_to_ground, homography.corners(*block.size))
+    gsd_m = survey.georeference.mosaic_gsd_m
+    grid = GroundGrid.covering(corners_m, gsd_m, crs=block.fix.crs)
+    pixels, valid = orthorectify(background.pixels, block.fix.reference_to_ground, grid, seen=background.seen)
+    write_geotiff(folder / "ground.tif", pixels, valid, grid)

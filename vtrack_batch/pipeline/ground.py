@@ -1,0 +1,33 @@
+"""Where the site frame of a sequence lies on the ground: reads what the file itself and the files beside it say."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from vtrack_batch.config.survey import Survey
+from vtrack_batch.georeference.fix import GroundFix, WorldFile, find_fix
+from vtrack_batch.pipeline.plan import FrameRef
+
+_TIFF_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+
+
+def fix_ground(survey: Survey, root: Path, ref: FrameRef, data: bytes, width_px: int, height_px: int) -> GroundFix:
+    """Return the ground fix of the frame *ref* with the bytes *data*; raises ``ConfigError`` where none can be had."""
+    tags = None
+    if data[:4] in _TIFF_MAGIC:
+        from vtrack_batch.storage.geotiff import read_geotags
+
+        tags = read_geotags(data)
+    beside = next(iter(world_files(root / ref.name)), None)
+    world_file = WorldFile(beside.name, beside.read_text("ascii", "replace")) if beside else None
+    return find_fix(survey.georeference, width_px, height_px, tags=tags, world_file=world_file)
+
+
+def world_files(path: Path) -> list[Path]:
+    """Return the world files beside the frame at *path*: ``.jgw``, ``.jpgw`` or ``.wld`` for ``.jpg``, and so on."""
+    suffix = path.suffix.lstrip(".")
+    if len(suffix) < 2:
+        return []
+    endings = [f"{suffix[0]}{suffix[-1]}w", f"{suffix}w", "wld"]
+    candidates = [path.with_suffix(f".{ending}") for ending in endings]
+    return [candidate for candidate in candidates if candidate.is_file()]

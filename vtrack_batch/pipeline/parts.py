@@ -1,0 +1,63 @@
+"""Reading and writing the tables of a part."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from vtrack_batch.config.survey import Survey
+from vtrack_batch.errors import StorageError
+from vtrack_batch.model.homography import Array
+from vtrack_batch.model.tables import TABLES
+from vtrack_batch.pipeline.plan import Piece
+from vtrack_batch.storage.output import Output, Part
+from vtrack_batch.storage.parquet import read_table, write_table
+
+
+@dataclass(frozen=True)
+class Context:
+    """What every step of a run shares."""
+
+    survey: Survey
+    archive: Path
+    out: Path
+    zones_text: str | None
+
+    @property
+    def output(self) -> Output:
+        """The result folder."""
+        return Output(self.out)
+
+    def part(self, piece: Piece) -> Part:
+        """Return the finished part of *piece*."""
+        part = self.output.part(piece.step, piece.key)
+        if part is None:
+            raise StorageError(f"{piece.step} {piece.name}: its result vanished during the run; run again")
+        return part
+
+
+def read(parts: Iterable[Part], name: str) -> pd.DataFrame:
+    """Return the rows of the table *name* over *parts*."""
+    return read_table([part.file(f"{name}.parquet") for part in parts], TABLES[name])
+
+
+def write(folder: Path, tables: Mapping[str, pd.DataFrame], crs: str | None = None) -> None:
+    """Write *tables* into the folder of a part, checked against their declarations."""
+    for name, rows in tables.items():
+        write_table(folder / f"{name}.parquet", TABLES[name], rows, crs)
+
+
+def matrix_columns(letter: str, matrices: Array) -> dict[str, Array]:
+    """Return the columns h11…h33 of matrices (n, 3, 3)."""
+    flat = np.asarray(matrices, float).reshape(-1, 9)
+    return {f"{letter}{i + 1}{j + 1}": flat[:, 3 * i + j] for i in range(3) for j in range(3)}
+
+
+def matrices_of(letter: str, rows: pd.DataFrame) -> Array:
+    """Return the matrices (n, 3, 3) kept in the columns h11…h33."""
+    names = [f"{letter}{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)]
+    return rows[names].to_numpy(float).reshape(-1, 3, 3)

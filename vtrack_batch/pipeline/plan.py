@@ -1,0 +1,230 @@
+"""Which pieces of work are due, and why: a pure plan made from keys.
+
+A key is the hash of all that a piece depends on: content hashes of its inputs, the parameters that its step reads, the
+step's algorithm version, and the keys of the pieces it builds on. A piece whose part exists under its key is done.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+
+from vtrack_batch.config.survey import Survey
+from vtrack_batch.errors import ConfigError
+from vtrack_batch.storage.output import digest
+
+Step = Literal["detect", "track", "traffic", "picture"]
+STEPS: tuple[Step, ...] = ("detect", "track", "traffic", "picture")
+
+ALGORITHM: Mapping[Step, int] = {"detect": 1, "track": 1, "traffic": 1, "picture": 1}
+"""Raised whenever a step may give other results from the same inputs and parameters."""
+
+SITE_CANDIDATES = 5
+
+
+@dataclass(frozen=True)
+class FrameRef:
+    """A frame without its pixels."""
+
+    frame_id: str
+    name: str
+    path: str
+    t_utc: np.datetime64
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A clock-aligned piece of a sequence: the smallest piece that is detected as a whole.
+
+    ``halo`` are the neighbours whose frames also serve as samples of the background; ``site`` the first frames of the
+    sequence, of which the first that can be read is the frame to which the georeference belongs.
+    """
+
+    sequence: str
+    date: str
+    start_s: float
+    frames: tuple[FrameRef, ...]
+    halo: tuple[FrameRef, ...]
+    site: tuple[FrameRef, ...]
+
+    @property
+    def name(self) -> str:
+        """What people call it."""
+        start = np.datetime64(int(self.start_s), "s")
+        return f"{self.sequence} {start}Z"
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One piece of work: a step on a unit, a sequence or a date, with the key of its result."""
+
+    step: Step
+    name: str
+    key: str
+    ingredients: Mapping[str, str]
+    """Name → hash of each thing the key is made of; tells people why a piece is due."""
+    unit: Unit | None = None
+    needs: tuple[Piece, ...] = ()
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Every piece of the survey, by step."""
+
+    detect: tuple[Piece, ...]
+    track: tuple[Piece, ...]
+    traffic: tuple[Piece, ...]
+    picture: tuple[Piece, ...]
+
+    def pieces(self) -> tuple[Piece, ...]:
+        """Return all pieces in an order in which each comes after what it needs."""
+        return (*self.detect, *self.track, *self.traffic, *self.picture)
+
+
+def make_plan(frames: pd.DataFrame, survey: Survey, *, zones_text: str | None, beside: Mapping[str, str]) -> Plan:
+    """Return the plan of *survey* for the indexed *frames*; *beside* = path → hash of other files that steps read."""
+    settings = {step: _settings(survey, step, zones_text, beside) for step in STEPS}
+    units = cut_units(frames, unit_s=survey.execution.unit_s, halo_s=survey.execution.halo_s)
+    site = _named_site(frames, survey.georeference.reference_frame)
+    if site is not None:
+        units = [replace(unit, site=(site,)) for unit in units]
+    detect = tuple(_piece("detect", unit.name, settings, {"frames": _frames_hash(unit)}, unit=unit) for unit in units)
+    track = tuple(
+        _piece("track", sequence, settings, {}, needs=tuple(pieces))
+        for sequence, pieces in _grouped(detect, "sequence")
+    )
+    by_date: dict[str, list[Piece]] = {}
+    for piece in track:
+        by_date.setdefault(_unit_of(piece).date, []).append(piece)
+    traffic = tuple(_piece("traffic", date, settings, {}, needs=tuple(by_date[date])) for date in sorted(by_date))
+    picture = tuple(
+        _piece("picture", piece.name, settings, {}, needs=(piece, whole)) for whole in traffic for piece in whole.needs
+    )
+    return Plan(detect, track, traffic, picture)
+
+
+def cut_units(frames: pd.DataFrame, *, unit_s: float, halo_s: float) -> list[Unit]:
+    """Cut each sequence of *frames* at multiples of *unit_s* since the epoch; never by what happened to be there."""
+    units: list[Unit] = []
+    for sequence, rows in frames.groupby("sequence", sort=True, observed=True):
+        refs = refs_of(rows)
+        seconds = np.array([ref.t_utc for ref in refs]).astype("int64") / 1e6
+        bucket = np.floor(seconds / unit_s).astype("int64")
+        for number in np.unique(bucket):
+            first, last = np.flatnonzero(bucket == number)[[0, -1]]
+            start_s = float(number) * unit_s
+            low = int(np.searchsorted(seconds, seconds[first] - halo_s, "left"))
+            high = int(np.searchsorted(seconds, seconds[last] + halo_s, "right"))
+            units.append(
+                Unit(
+                    str(sequence),
+                    str(rows["date"].iloc[0]),
+                    start_s,
+                    tuple(refs[first : last + 1]),
+                    tuple(refs[low:first] + refs[last + 1 : high]),
+                    tuple(refs[:SITE_CANDIDATES]),
+                )
+            )
+    return units
+
+
+def refs_of(rows: pd.DataFrame) -> list[FrameRef]:
+    """Return the rows of the index as frame references, in their order."""
+    times = rows["t_utc"].dt.tz_localize(None).to_numpy("datetime64[us]")
+    columns = (rows["frame_id"], rows["name"], rows["path"], times, rows["sha256"])
+    return [FrameRef(*row) for row in zip(*columns, strict=True)]
+
+
+def _named_site(frames: pd.DataFrame, path: str | None) -> FrameRef | None:
+    """Return the frame to which the survey file says that the georeference belongs."""
+    if path is None:
+        return None
+    found = refs_of(frames.loc[frames["path"] == path])
+    if not found:
+        raise ConfigError(
+            f"georeference.reference_frame: no frame {path!r} in the archive; paths are below archive.root, "
+            f"such as {frames['path'].iloc[0]!r}"
+        )
+    return found[0]
+
+
+def reason_due(piece: Piece, former: Mapping[str, str] | None) -> str:
+    """Say why *piece* is due, from the ingredients recorded when a piece of its name was last done."""
+    if former is None:
+        return "new"
+    changed = [name for name, value in piece.ingredients.items() if former.get(name) != value]
+    return "changed: " + ", ".join(changed) if changed else "its result is missing"
+
+
+def _unit_of(piece: Piece) -> Unit:
+    while piece.unit is None:
+        piece = piece.needs[0]
+    return piece.unit
+
+
+def _grouped(pieces: tuple[Piece, ...], attribute: str) -> list[tuple[str, list[Piece]]]:
+    groups: dict[str, list[Piece]] = {}
+    for piece in pieces:
+        groups.setdefault(getattr(piece.unit, attribute), []).append(piece)
+    return sorted(groups.items())
+
+
+def _piece(
+    step: Step,
+    name: str,
+    settings: Mapping[Step, Mapping[str, str]],
+    inputs: Mapping[str, str],
+    *,
+    unit: Unit | None = None,
+    needs: tuple[Piece, ...] = (),
+) -> Piece:
+    ingredients = {
+        **inputs,
+        **settings[step],
+        **({"what it builds on": digest([need.key for need in needs])} if needs else {}),
+    }
+    return Piece(step, name, digest(step, name, ingredients), ingredients, unit, needs)
+
+
+def _frames_hash(unit: Unit) -> str:
+    groups = (unit.frames, unit.halo, unit.site)
+    return digest(
+        [
+            [(ref.name.encode("utf-8", "surrogateescape").hex(), ref.sha256, str(ref.t_utc)) for ref in group]
+            for group in groups
+        ]
+    )
+
+
+def _settings(survey: Survey, step: Step, zones_text: str | None, beside: Mapping[str, str]) -> dict[str, str]:
+    """Return name → hash of what *step* reads besides its inputs: only its own sections, defaults filled in."""
+    reads: dict[Step, dict[str, Any]] = {
+        "detect": {
+            "archive.max_pixels": survey.archive.max_pixels,
+            "georeference": survey.georeference.model_dump(mode="json"),
+            "files beside the frames": dict(sorted(beside.items())),
+            "registration": survey.registration.model_dump(mode="json"),
+            "background": survey.background.model_dump(mode="json"),
+            "detection": survey.detection.model_dump(mode="json"),
+        },
+        "track": {
+            "matching": survey.matching.model_dump(mode="json"),
+            "tracking": survey.tracking.model_dump(mode="json"),
+            "zones": zones_text,
+        },
+        "traffic": {
+            "traffic": survey.traffic.model_dump(mode="json"),
+            "zones": zones_text,
+            "survey.time_zone": survey.survey.time_zone,
+        },
+        "picture": {"survey.name": survey.survey.name},
+    }
+    return {
+        **{name: digest(value) for name, value in reads[step].items()},
+        "algorithm": digest(ALGORITHM[step]),
+    }

@@ -1,0 +1,246 @@
+"""Bring a survey's results up to date: index, plan, carry out what is due, publish."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from vtrack_batch.config.survey import Survey
+from vtrack_batch.errors import ConfigError, NoArchive, StorageError, UnusableData, UnusableFrame
+from vtrack_batch.pipeline.execute import Work, carry_out
+from vtrack_batch.pipeline.index import Index, make_index
+from vtrack_batch.pipeline.parts import Context
+from vtrack_batch.pipeline.plan import SITE_CANDIDATES, STEPS, Piece, Plan, Step, make_plan, reason_due
+from vtrack_batch.storage.hashes import HashStore
+from vtrack_batch.storage.output import Output
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Due:
+    """A piece of work that is due, and why."""
+
+    piece: Piece
+    reason: str
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A survey whose archive has been indexed and planned."""
+
+    context: Context
+    index: Index
+    plan: Plan
+    due: tuple[Due, ...]
+
+
+@dataclass(frozen=True)
+class RunReport:
+    """What a run did."""
+
+    out: Path
+    snapshot: Path | None
+    """The published snapshot; the former one if nothing changed."""
+    published: bool
+    done: Mapping[str, int]
+    frames_used: int
+    frames_quarantined: int
+    exit_code: int
+
+    def summary(self) -> str:
+        """Return the last lines of a run, for people."""
+        work = ", ".join(f"{count} {step}" for step, count in self.done.items() if count) or "nothing was due"
+        kept = "published" if self.published else "unchanged"
+        return (
+            f"{work}; {self.frames_used} frames used, {self.frames_quarantined} quarantined\n"
+            f"{kept}: {self.snapshot}\n"
+            f"report: {self.out / 'current' / 'report' / 'report.html'}"
+        )
+
+
+def run_survey(
+    survey: Survey,
+    *,
+    workers: int | None = None,
+    wait_s: float = 0.0,
+    force: Step | None = None,
+    say: Say | None = None,
+) -> RunReport:
+    """Process what is due of *survey* and publish it; a run without changes computes nothing.
+
+    *force* computes a step, and what follows from it, again. Raises a ``VtrackError`` whose ``exit_code`` says how bad
+    it is; what was published before stays intact.
+    """
+    output = Output(survey.resolve(survey.output.root))
+    archive = survey.resolve(survey.archive.root)
+    if not archive.is_dir():
+        raise NoArchive(f"{archive}: no such folder; check archive.root in the survey file")
+    output.create()
+    with output.locked(wait_s):
+        prepared = prepare(survey)
+        if force is not None:
+            prepared = _forced(prepared, force)
+        done = _carry_out(prepared, workers or survey.execution.workers, say or _silent)
+        return _publish(prepared, done)
+
+
+def prepare(survey: Survey) -> Prepared:
+    """Index the archive and plan the work, without doing any of it."""
+    output = Output(survey.resolve(survey.output.root))
+    index = make_index(survey, HashStore(output.state / "files.sqlite" if output.state.is_dir() else None))
+    zones_text = read_zones_text(survey)
+    if index.frames.empty:
+        reasons = ", ".join(f"{n} {reason}" for reason, n in index.quarantine["reason"].value_counts().items())
+        raise UnusableData(f"{index.root}: none of {len(index.quarantine)} files can be used ({reasons})")
+    if zones_text is not None:
+        _check_zones(zones_text, survey, index)
+    plan = make_plan(index.frames, survey, zones_text=zones_text, beside=_files_beside(survey, index))
+    context = Context(survey, index.root, output.root, zones_text)
+    ledger = _ledger(output)
+    due = tuple(
+        Due(piece, reason_due(piece, ledger.get(f"{piece.step} {piece.name}")))
+        for piece in plan.pieces()
+        if output.part(piece.step, piece.key) is None
+    )
+    return Prepared(context, index, plan, due)
+
+
+def _carry_out(prepared: Prepared, workers: int, say: Say) -> dict[str, int]:
+    """Do what is due, step by step."""
+    output = prepared.context.output
+    done: dict[str, int] = dict.fromkeys(STEPS, 0)
+    ledger = _ledger(output)
+    for step in STEPS:
+        pieces = [due.piece for due in prepared.due if due.piece.step == step]
+
+        def progress(piece: Piece, step: Step = step, total: int = len(pieces)) -> None:
+            done[step] += 1
+            ledger[f"{piece.step} {piece.name}"] = dict(piece.ingredients)
+            say(f"{step} {done[step]}/{total}: {piece.name}")
+
+        if pieces:
+            carry_out(pieces, _work(step), prepared.context, workers=workers, progress=progress)
+            _write_ledger(output, ledger)
+        if step == "detect":
+            _refuse_if_nothing_usable(prepared)
+    return done
+
+
+def _work(step: Step) -> Work:
+    """Return the function of a step; imported late, so that a run with nothing to do starts fast."""
+    if step == "detect":
+        from vtrack_batch.pipeline.detect import detect_unit
+
+        return detect_unit
+    if step == "track":
+        from vtrack_batch.pipeline.track import track_sequence
+
+        return track_sequence
+    if step == "traffic":
+        from vtrack_batch.pipeline.traffic import measure_date
+
+        return measure_date
+    from vtrack_batch.pipeline.picture import draw_sequence
+
+    return draw_sequence
+
+
+def _refuse_if_nothing_usable(prepared: Prepared) -> None:
+    parts = [prepared.context.part(piece) for piece in prepared.plan.detect]
+    if any(part.about["frames_used"] for part in parts):
+        return
+    reasons: dict[str, int] = {}
+    for part in parts:
+        for reason, count in part.about["quarantined"].items():
+            reasons[reason] = reasons.get(reason, 0) + count
+    shown = ", ".join(f"{count} {reason}" for reason, count in sorted(reasons.items()))
+    raise UnusableData(f"{prepared.index.root}: none of {len(prepared.index.frames)} frames can be used ({shown})")
+
+
+def _publish(prepared: Prepared, done: Mapping[str, int]) -> RunReport:
+    from vtrack_batch.pipeline.publish import publish
+
+    made = publish(prepared.plan, prepared.index, prepared.context)
+    output, survey = prepared.context.output, prepared.context.survey
+    manifest = made[1] if made else output.current_manifest()
+    if manifest is None:
+        raise StorageError(f"{output.root}: the published snapshot vanished during the run; run again")
+    used, lost = manifest["frames"]["used"], manifest["frames"]["quarantined"]
+    too_many = lost > survey.output.quarantine_tolerance * (used + lost)
+    return RunReport(output.root, output.current.resolve(), made is not None, done, used, lost, 3 if too_many else 0)
+
+
+def _forced(prepared: Prepared, step: Step) -> Prepared:
+    """Drop the parts of *step* and of all that follows, and plan them as due."""
+    later = STEPS[STEPS.index(step) :]
+    pieces = [piece for piece in prepared.plan.pieces() if piece.step in later]
+    for piece in pieces:
+        prepared.context.output.drop_part(piece.step, piece.key)
+    known = {due.piece.key for due in prepared.due}
+    forced = tuple(Due(piece, "forced") for piece in pieces if piece.key not in known)
+    return replace(prepared, due=(*prepared.due, *forced))
+
+
+def read_zones_text(survey: Survey) -> str | None:
+    """Return the content of the zone file, or None where none is named; raises ``ConfigError`` if it cannot be read."""
+    if survey.zones is None:
+        return None
+    path = survey.resolve(survey.zones)
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as problem:
+        raise ConfigError(f"{path}: the zone file cannot be read ({problem}); see `zones` in the survey file") from None
+
+
+def _check_zones(zones_text: str, survey: Survey, index: Index) -> None:
+    """Raise ``ConfigError`` if the zones cannot be read in the CRS of the first readable frame, before work begins."""
+    from vtrack_batch.archive.headers import read_header
+    from vtrack_batch.archive.read import read_bytes
+    from vtrack_batch.pipeline.ground import fix_ground
+    from vtrack_batch.pipeline.plan import refs_of
+    from vtrack_batch.traffic.zones import parse_zones
+
+    for ref in refs_of(index.frames.iloc[:SITE_CANDIDATES]):
+        try:
+            data = read_bytes(index.root, ref.name)
+            header = read_header(data)
+        except UnusableFrame:
+            continue
+        fix = fix_ground(survey, index.root, ref, data, header.width_px, header.height_px)
+        parse_zones(zones_text, crs=fix.crs, source=str(survey.zones))
+        return
+
+
+def _files_beside(survey: Survey, index: Index) -> dict[str, str]:
+    """Return path → hash of the world files beside the first frames of each sequence."""
+    from vtrack_batch.pipeline.ground import world_files
+
+    found: dict[str, str] = {}
+    for _, rows in index.frames.groupby("sequence", observed=True):
+        for name in rows["name"].iloc[:SITE_CANDIDATES]:
+            for path in world_files(index.root / str(name)):
+                found[path.name] = hashlib.sha256(path.read_bytes()).hexdigest()
+    return found
+
+
+def _ledger(output: Output) -> dict[str, dict[str, str]]:
+    """Return what each piece of work was made of when it was last done; only used to explain why one is due."""
+    try:
+        return dict(json.loads((output.state / "ledger.json").read_bytes()))
+    except (OSError, ValueError):
+        return {}
+
+
+def _write_ledger(output: Output, ledger: Mapping[str, Any]) -> None:
+    draft = output.state / "staging" / "ledger.json"
+    draft.write_text(json.dumps(ledger, sort_keys=True) + "\n")
+    draft.replace(output.state / "ledger.json")
+
+
+def _silent(message: str) -> None:
+    """Say nothing."""

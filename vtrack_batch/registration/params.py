@@ -1,0 +1,47 @@
+"""Parameters of registration: how a frame is laid on its block's reference frame, and when that is believed."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from vtrack_batch.model.params import Params
+
+
+class RegistrationParams(Params):
+    """Knobs of `register` and `prepare_reference`.
+
+    Lengths are pixels of the frame, because the limits are those of measuring in an image: how well a small patch can
+    be located, how far its place can be mispredicted. None of them needs to change with the ground sampling distance.
+    """
+
+    patches: int = Field(300, ge=40, le=5000, description="full-resolution patches spread over the reference frame")
+    held_out_share: float = Field(
+        0.25, ge=0.1, le=0.5, description="share of the patches that are kept out of the fit and measure its residual"
+    )
+    patch_px: int = Field(31, ge=11, le=127, description="side of a patch; an even number is rounded up to an odd one")
+    search_px: int = Field(12, ge=4, le=64, description="how far from its predicted place a patch is looked for")
+    min_correlation: float = Field(
+        0.6, gt=0.0, lt=1.0, description="normalised cross-correlation from which a patch counts as found"
+    )
+    coarse_pixels: int = Field(
+        130_000, ge=10_000, le=4_000_000, description="size to which frames are reduced for the coarse pose"
+    )
+    inlier_tolerance_px: float = Field(
+        2.0, gt=0.0, le=20.0, description="largest residual of a patch that counts as agreeing with the pose"
+    )
+    max_residual_px: float = Field(
+        6.0, gt=0.0, le=50.0, description="largest robust residual at held-out patches of an accepted frame"
+    )
+    min_confirmed_share: float = Field(
+        0.25, ge=0.0, le=1.0, description="smallest share of visible held-out patches found where the pose puts them"
+    )
+    min_coverage_share: float = Field(
+        0.65, ge=0.0, le=1.0, description="smallest share of the overlap (in cells) that found patches vouch for"
+    )
+    min_overlap_share: float = Field(
+        0.3, ge=0.0, le=1.0, description="smallest share of the reference's patches that the frame must show"
+    )
+    min_contrast: float = Field(
+        2.0, ge=0.0, le=128.0, description="standard deviation of grey values below which a frame is blank"
+    )
+    seed: int = Field(20260517, ge=0, le=2**31 - 1, description="seed of the sampling consensus")

@@ -1,0 +1,54 @@
+"""The platform: how each frame lies to the first one, and how light and exposure wander."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vtrack_batch.model.homography import Array, normalised
+from vtrack_batch.simulation.params import Scenario
+
+_PERIODS_S = (47.0, 83.0, 151.0)
+"""Periods of the slow wander of drift, turn and exposure."""
+
+
+@dataclass(frozen=True)
+class Flight:
+    """Per frame: ``poses`` (n, 3, 3) reference to frame, ``exposure`` (n,) gain, ``cloud_m`` (n, 2) drift of shade."""
+
+    poses: Array
+    exposure: Array
+    cloud_m: Array
+
+
+def fly(scenario: Scenario, *, size_px: tuple[int, int], rigid: bool, rng: np.random.Generator) -> Flight:
+    """Draw the flight; *rigid* allows translations only, so that a frame's geotransform can say them exactly."""
+    t = np.arange(scenario.frame_count, dtype=np.float64) * scenario.interval_s
+    turn = np.zeros(len(t)) if rigid else np.deg2rad(scenario.rotation_deg) * _wander(t, rng)
+    drift = scenario.drift_px * np.stack([_wander(t, rng), _wander(t, rng)], axis=1)
+    shift = drift + scenario.jitter_px * rng.standard_normal((len(t), 2))
+    tilt = 0.0 if rigid else scenario.perspective_per_px
+    perspective = tilt * np.stack([_wander(t, rng), _wander(t, rng)], axis=1)
+    scale = 1.0 + (0.0 if rigid else 0.004) * _wander(t, rng)
+    width, height = size_px
+    centre = np.array([[1, 0, (width - 1) / 2], [0, 1, (height - 1) / 2], [0, 0, 1.0]])
+    poses = []
+    for k in range(len(t)):
+        c, s = scale[k] * np.cos(turn[k]), scale[k] * np.sin(turn[k])
+        about = np.array([[c, -s, shift[k, 0]], [s, c, shift[k, 1]], [*perspective[k], 1.0]])
+        poses.append(centre @ about @ np.linalg.inv(centre))
+    first = np.linalg.inv(poses[0])
+    relative = np.stack([normalised(pose @ first) for pose in poses])
+    relative[0] = np.eye(3)
+    exposure = 1.0 + scenario.exposure_drift * _wander(t, rng) + 0.004 * rng.standard_normal(len(t))
+    wind = rng.uniform(2, 5) * np.array([np.cos(a := rng.uniform(0, 2 * np.pi)), np.sin(a)])
+    return Flight(relative, exposure if scenario.exposure_drift else np.ones(len(t)), t[:, None] * wind)
+
+
+def _wander(t: Array, rng: np.random.Generator) -> Array:
+    """Return a smooth curve over the times *t* (n,), mostly within -1 to 1."""
+    phase = rng.uniform(0, 2 * np.pi, len(_PERIODS_S))
+    weight = rng.uniform(0.3, 1.0, len(_PERIODS_S))
+    waves = np.sin(2 * np.pi * t[:, None] / np.array(_PERIODS_S) + phase)
+    return np.asarray((waves * weight).sum(axis=1) / weight.sum())

@@ -1,0 +1,157 @@
+"""GeoTIFF: the georeference of a frame in, pictures of the ground out."""
+
+from __future__ import annotations
+
+import secrets
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vtrack_batch.errors import UnusableFrame
+from vtrack_batch.georeference.geotags import GeoTags
+from vtrack_batch.georeference.ground_grid import GroundGrid
+
+_TILE_PX = 512
+_IDENTITY = (0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+
+
+def read_geotags(data: bytes) -> GeoTags | None:
+    """Return the georeference in the bytes *data* of a TIFF, None if it has none.
+
+    Raises `UnusableFrame` (``malformed``) where it is no TIFF. Only GDAL's GeoTIFF driver is asked.
+    """
+    import rasterio
+    from rasterio.errors import NotGeoreferencedWarning, RasterioError
+
+    if not data:
+        raise UnusableFrame("malformed", "the file is empty")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        try:
+            with rasterio.MemoryFile(data) as memory, memory.open(driver="GTiff") as dataset:
+                # GDAL has already moved the reference of PixelIsPoint files to the corner.
+                x, across_x, down_x, y, across_y, down_y = (float(number) for number in dataset.transform.to_gdal())
+                crs = dataset.crs
+        except RasterioError as problem:
+            raise UnusableFrame("malformed", f"its georeference cannot be read ({problem})") from None
+    geotransform = (x, across_x, down_x, y, across_y, down_y)
+    if geotransform == _IDENTITY:
+        return None
+    authority = crs.to_authority() if crs else None
+    name = ":".join(authority) if authority else (crs.to_wkt() if crs else None)
+    return GeoTags(geotransform, name)
+
+
+def write_geotiff(path: Path, pixels: NDArray[np.uint8], valid: NDArray[np.bool_], grid: GroundGrid) -> None:
+    """Write *pixels* (rows, columns, 3) uint8 RGB on *grid* to *path*, with an alpha band that is 0 where not *valid*.
+
+    The same input gives the same bytes; the file appears whole or not at all. Raises `OSError`.
+    """
+    # GDAL would stretch a picture of another size without a word.
+    if pixels.shape != (*grid.shape, 3) or valid.shape != grid.shape:
+        raise ValueError(f"pixels {pixels.shape} and valid {valid.shape} do not fit a grid of {grid.shape}")
+    with _created(path, grid) as dataset:
+        for band in range(3):
+            dataset.write(pixels[:, :, band], band + 1)
+        dataset.write(valid.astype(np.uint8) * np.uint8(255), 4)
+
+
+def merge_geotiffs(paths: Sequence[Path], path: Path) -> None:
+    """Write the union of pictures that `write_geotiff` made on grids of one CRS and pixel size to *path*.
+
+    Where they overlap the first one that is valid shows. Nothing is written for no pictures. Worked in strips, so that
+    memory does not grow with the area. Raises `ValueError` where the grids do not match, and `OSError`.
+    """
+    import rasterio
+
+    if not paths:
+        return
+    with ExitStack() as stack:
+        pictures = [stack.enter_context(rasterio.open(source, driver="GTiff")) for source in paths]
+        grids = [_grid_of(picture) for picture in pictures]
+        union = _union(grids)
+        with _created(path, union) as dataset:
+            for top in range(0, union.shape[0], _TILE_PX):
+                rows = min(_TILE_PX, union.shape[0] - top)
+                strip = np.zeros((4, rows, union.shape[1]), np.uint8)
+                for picture, grid in zip(pictures, grids, strict=True):
+                    _lay_below(strip, top, picture, _offset(grid, union))
+                dataset.write(strip, window=((top, top + rows), (0, union.shape[1])))
+
+
+@contextmanager
+def _created(path: Path, grid: GroundGrid) -> Iterator[Any]:
+    """Open a new RGBA GeoTIFF on *grid*; it takes the name *path* when the block ends well."""
+    import rasterio
+    from rasterio.errors import RasterioError
+    from rasterio.transform import from_origin
+
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    # Fails with a plain OSError where the folder cannot be written, which GDAL does not.
+    temporary.write_bytes(b"")
+    try:
+        with rasterio.open(
+            temporary,
+            "w",
+            driver="GTiff",
+            width=grid.shape[1],
+            height=grid.shape[0],
+            count=4,
+            dtype="uint8",
+            crs=grid.crs,
+            transform=from_origin(grid.x_min_m, grid.y_max_m, grid.gsd_m, grid.gsd_m),
+            photometric="RGB",
+            alpha="YES",
+            tiled=True,
+            blockxsize=_TILE_PX,
+            blockysize=_TILE_PX,
+            compress="deflate",
+            predictor=2,
+            zlevel=6,
+            bigtiff="IF_SAFER",
+        ) as dataset:
+            yield dataset
+        temporary.replace(path)
+    except RasterioError as problem:
+        raise OSError(f"{path}: {problem}") from problem
+    finally:
+        with suppress(FileNotFoundError):
+            temporary.unlink()
+
+
+def _grid_of(picture: Any) -> GroundGrid:
+    transform = picture.transform
+    crs = picture.crs.to_wkt() if picture.crs else None
+    return GroundGrid(crs, transform.c, transform.f, transform.a, (picture.height, picture.width))
+
+
+def _union(grids: Sequence[GroundGrid]) -> GroundGrid:
+    first = grids[0]
+    if any(grid.crs != first.crs or abs(grid.gsd_m - first.gsd_m) > 1e-9 for grid in grids):
+        raise ValueError("pictures of the ground in different CRS or of different pixel size cannot be merged")
+    left, top = min(grid.x_min_m for grid in grids), max(grid.y_max_m for grid in grids)
+    corner = GroundGrid(first.crs, left, top, first.gsd_m, (0, 0))
+    places = [(*_offset(grid, corner), *grid.shape) for grid in grids]
+    rows, columns = max(row + r for row, _, r, _ in places), max(column + c for _, column, _, c in places)
+    return GroundGrid(first.crs, left, top, first.gsd_m, (rows, columns))
+
+
+def _offset(grid: GroundGrid, union: GroundGrid) -> tuple[int, int]:
+    """Return the row and column of *union* at which *grid* begins."""
+    return round((union.y_max_m - grid.y_max_m) / union.gsd_m), round((grid.x_min_m - union.x_min_m) / union.gsd_m)
+
+
+def _lay_below(strip: NDArray[np.uint8], strip_top: int, picture: Any, offset: tuple[int, int]) -> None:
+    """Fill what is still empty of *strip* (4, rows, columns), which begins at row *strip_top* of the union."""
+    top, bottom = max(strip_top, offset[0]), min(strip_top + strip.shape[1], offset[0] + picture.height)
+    if top >= bottom:
+        return
+    found = picture.read(window=((top - offset[0], bottom - offset[0]), (0, picture.width)))
+    part = strip[:, top - strip_top : bottom - strip_top, offset[1] : offset[1] + picture.width]
+    free = (part[3] == 0) & (found[3] > 0)
+    part[:, free] = found[:, free]

@@ -1,0 +1,128 @@
+"""Which sighting can be the next of which: between successive frames, and over misses from where a vehicle is headed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from vtrack_batch.matching.candidates import candidates
+from vtrack_batch.matching.colour import Paint
+from vtrack_batch.matching.match import displacement_density, log_evidence
+from vtrack_batch.matching.neighbours import match_by_neighbours
+from vtrack_batch.matching.params import MatchingParams
+from vtrack_batch.tracking.motion import States
+from vtrack_batch.tracking.params import TrackingParams
+from vtrack_batch.tracking.sightings import Array, Index, Sightings
+
+KEEP_LOG_ODDS = -6.0
+BOX_SLACK_M = 2.0
+
+
+@dataclass(frozen=True)
+class Links:
+    """Possible links between sightings *i* and later ones *k*, (e,) int64, sorted by (i, k).
+
+    ``log_alone`` (e,) is the log density (1/m2) of the displacement as the neighbours' motion has it; ``gain`` (e,) the
+    log-odds of the link against a break.
+    """
+
+    i: Index
+    k: Index
+    log_alone: Array
+    gain: Array
+
+    def __len__(self) -> int:
+        return len(self.i)
+
+
+def pair_links(
+    s: Sightings, paint: Paint | None, log_colour: Array, matching: MatchingParams, limit_s: float, every: int = 1
+) -> Links:
+    """Match successive frames without history, by colour and the neighbours' motion; keep what is not hopeless.
+
+    *log_colour* (n,) is the log density of each sighting's colour in the sequence; *every* > 1 takes a sample of frames.
+    """
+    found = []
+    for f in range(0, len(s.frame_s) - 1, every):
+        a, b, c = s.first[f : f + 3] if f + 2 < len(s.first) else (*s.first[f : f + 2], len(s))
+        dt = float(s.frame_s[f + 1] - s.frame_s[f])
+        if a == b or b == c or dt > limit_s:
+            continue
+        edges = candidates(s.xy[a:b], s.xy[b:c], matching.reach_m(dt), limit=matching.max_candidate_pairs)
+        i, k = edges.i + a, edges.k + b
+        colour = None
+        if paint is not None and s.rgb is not None:
+            colour = paint.log_ratio_given(s.rgb[i], s.rgb[k], 0.5 * (log_colour[i] + log_colour[k]))
+        evidence = log_evidence(edges, colour, dt, matching)
+        prior = displacement_density(edges, dt, matching)
+        _, log_odds = match_by_neighbours(
+            edges, evidence, prior, s.xy[a:b], s.xy[b:c], elapsed_s=dt, params=matching.neighbours
+        )
+        keep = log_odds > KEEP_LOG_ODDS
+        found.append((i[keep], k[keep], (log_odds - evidence)[keep], log_odds[keep]))
+    if not found:
+        none = np.zeros(0, np.int64)
+        return Links(none, none, np.zeros(0), np.zeros(0))
+    return Links(*(np.concatenate(part) for part in zip(*found, strict=True)))
+
+
+def gated_links(
+    s: Sightings, forward: States, backward: States, open_after: NDArray[np.bool_], open_before: NDArray[np.bool_],
+    limit_s: float, params: TrackingParams,
+) -> tuple[Index, Index]:
+    """List pairs (i, k) in which k lies where i is headed, or i where k comes from; over misses only open ends."""
+    motion = params.motion
+    q = motion.jerkiness * (1 + motion.rough_share * motion.rough_factor)
+    scale = np.array([params.link.gate_sigmas, q, motion.max_speed_mps, limit_s])
+    ahead = _gate(s.first, s.frame_s, s.frame, s.xy, s.sigma_m, forward.mean, forward.cov, forward.moving, open_after, open_before, scale, 1)
+    behind = _gate(s.first, s.frame_s, s.frame, s.xy, s.sigma_m, backward.mean, backward.cov, backward.moving, open_before, open_after, scale, -1)
+    return np.concatenate([ahead[0], behind[1]]), np.concatenate([ahead[1], behind[0]])
+
+
+@njit(cache=True, nogil=True)
+def _gate(first, frame_s, frame, xy, sigma, mean, cov, moving, open_from, open_to, scale, step):  # type: ignore[no-untyped-def]
+    gate, q, max_speed, limit_s = scale
+    out_from, out_to = [np.int64(0) for _ in range(0)], [np.int64(0) for _ in range(0)]
+    for i in range(len(frame)):
+        if not moving[i]:
+            continue
+        f = frame[i] + step
+        while 0 <= f < len(frame_s):
+            dt = frame_s[f] - frame_s[frame[i]]
+            h = abs(dt)
+            gap = f != frame[i] + step
+            if h > limit_s or (gap and not open_from[i]):
+                break
+            x, y = mean[i, 0] + dt * mean[i, 2], mean[i, 1] + dt * mean[i, 3]
+            variance = cov[i, 0] + 2 * dt * cov[i, 1] + dt * dt * cov[i, 2] + q * h**3 / 3 + sigma[i] ** 2
+            reach = min(gate * np.sqrt(variance), 2 * max_speed * h)
+            a, b = first[f], first[f + 1]
+            for k in range(a + np.searchsorted(xy[a:b, 0], x - reach), b):
+                if xy[k, 0] > x + reach:
+                    break
+                if gap and not open_to[k]:
+                    continue
+                near = (xy[k, 0] - x) ** 2 + (xy[k, 1] - y) ** 2 <= reach**2
+                slow = (xy[k, 0] - xy[i, 0]) ** 2 + (xy[k, 1] - xy[i, 1]) ** 2 <= (max_speed * h + 2.0) ** 2
+                if near and slow:
+                    out_from.append(i)
+                    out_to.append(k)
+            f += step
+    return np.array(out_from, dtype=np.int64), np.array(out_to, dtype=np.int64)
+
+
+@njit(cache=True, nogil=True)
+def local_density(first, frame, xy, radius):  # type: ignore[no-untyped-def]
+    """Return sightings per m2 (n,) around each sighting in its own frame, itself included."""
+    out = np.zeros(len(frame))
+    for i in range(len(frame)):
+        a, b = first[frame[i]], first[frame[i] + 1]
+        for k in range(a + np.searchsorted(xy[a:b, 0], xy[i, 0] - radius), b):
+            if xy[k, 0] > xy[i, 0] + radius:
+                break
+            if (xy[k, 0] - xy[i, 0]) ** 2 + (xy[k, 1] - xy[i, 1]) ** 2 <= radius**2:
+                out[i] += 1
+    return out / (np.pi * radius**2)

@@ -1,0 +1,51 @@
+"""Parameters of tracking, in metres and seconds; they serve 0.25-10 Hz."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from vtrack_batch.model.params import Params
+
+
+class MotionParams(Params):
+    """How vehicles move between sightings, and how well a sighting places them."""
+
+    position_sigma_m: float = Field(0.4, gt=0, description="spread of a detection's centre, per axis")
+    jerkiness: float = Field(1.0, gt=0, description="[q] spectral density of acceleration, m2/s3, of ordinary driving")
+    rough_factor: float = Field(8.0, gt=1, description="q of hard braking and sharp turns, as a multiple")
+    rough_share: float = Field(0.15, gt=0, lt=1, description="share of intervals with such driving")
+    speed_sigma_mps: float = Field(10.0, gt=0, description="spread of velocity of a vehicle of unknown motion, per axis")
+    max_speed_mps: float = Field(40.0, gt=0, description="nothing on a road is faster")
+
+
+class LinkParams(Params):
+    """How sightings become chains."""
+
+    coast_s: float = Field(4.5, ge=0, description="a vehicle may stay unseen for this long")
+    coast_frames: int = Field(3, ge=0, description="but always for this many frames")
+    gate_sigmas: float = Field(4.0, gt=0, description="partners are sought within this many standard deviations")
+    missed_share: float = Field(0.12, gt=0, lt=1, description="prior share of sightings that the detector misses")
+    break_share: float = Field(0.05, gt=0, lt=1, description="prior share of sightings that begin, or end, a track")
+    sure: float = Field(0.9999, gt=0, lt=1, description="a link of this probability is not asked to compete with gaps")
+    trust: float = Field(0.995, gt=0, lt=1, description="belief in a chain's own motion, at most")
+    rounds: int = Field(3, ge=1, description="rounds of linking, each with the velocities of the one before")
+    memory_sightings: int = Field(8, ge=1, description="mean colours count for at most this many sightings")
+
+
+class TrackingParams(Params):
+    """Parameters of tracking one sequence."""
+
+    motion: MotionParams = Field(MotionParams(), description="motion and measurement")
+    link: LinkParams = Field(LinkParams(), description="linking")
+    min_sightings: int = Field(2, ge=1, description="tracks with fewer sightings are no trajectories")
+    few_points: int = Field(4, ge=1, description="tracks with fewer sightings are flagged FEW_POINTS")
+    stop_speed_mps: float = Field(0.8, gt=0, description="slower is standing")
+    parked_move_m: float = Field(2.5, gt=0, description="a vehicle that never gets farther from where it is, stands")
+    parked_s: float = Field(20.0, gt=0, description="a vehicle that stands all its life, at least this long, is parked")
+    border_m: float = Field(6.0, ge=0, description="closer to the border of the view a track may enter and leave")
+    size_unsteady_share: float = Field(0.35, gt=0, description="lengths off their median by more are flagged")
+    max_accel_mps2: float = Field(9.0, gt=0, description="harder acceleration is flagged IMPLAUSIBLE_SPEED")
+    car_length_m: float = Field(5.6, gt=0, description="up to this length a vehicle is a car")
+    van_length_m: float = Field(7.5, gt=0, description="up to this length it is a van")
+    lorry_length_m: float = Field(10.5, gt=0, description="up to this length it is a lorry, beyond a bus or lorry")
+    bus_width_m: float = Field(2.4, gt=0, description="the longest are buses if at least this wide, else lorries")

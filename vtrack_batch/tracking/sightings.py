@@ -1,0 +1,128 @@
+"""All sightings of one sequence, sorted by frame and place, with the frames themselves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from vtrack_batch.errors import UnusableData
+from vtrack_batch.matching.vehicles import COLOUR, check
+from vtrack_batch.model.views import Views
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+HULL_MARGIN_M = 2.0
+DENSITY_RADIUS_M = 40.0
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """Sightings of one sequence in order of (frame, x, y, id).
+
+    ``frame`` (n,) int64 counts all frames of the sequence, with detections or not; ``frame_s`` (f,) are their times in
+    seconds since ``start``; ``first`` (f + 1,) the first sighting of each; ``xy`` (n, 2) metres; ``sigma_m`` (n,) the
+    spread of positions; ``rgb`` (n, 3) or None; ``rows`` the other columns; ``border`` (f, c, 2) footprints.
+    """
+
+    sequence: str
+    start: pd.Timestamp
+    rows: pd.DataFrame
+    frame: Index
+    frame_s: Array
+    first: Index
+    xy: Array
+    sigma_m: Array
+    rgb: Array | None
+    border: Array
+
+    def __len__(self) -> int:
+        return len(self.xy)
+
+    @property
+    def t(self) -> Array:
+        """Time of every sighting in seconds since ``start``, (n,)."""
+        return self.frame_s[self.frame]
+
+    @property
+    def interval_s(self) -> float:
+        """The usual time between frames."""
+        return float(np.median(np.diff(self.frame_s))) if len(self.frame_s) > 1 else 1.0
+
+    def ids(self) -> pd.Series[Any]:
+        """Detection ids, (n,)."""
+        return self.rows["detection_id"]
+
+
+def read_detections(detections: pd.DataFrame) -> pd.DataFrame:
+    """Check a table of detections for tracking; add ``sequence`` where there is none.
+
+    Raises ``UnusableData`` on missing columns, values that are missing or infinite, and repeated ids.
+    """
+    checked = check(detections, "detections", extra=("t_utc",))
+    times = checked["t_utc"]
+    if not isinstance(times.dtype, pd.DatetimeTZDtype):
+        raise UnusableData("detections: t_utc must be times with a time zone (UTC)")
+    if times.isna().any():
+        raise UnusableData(f"detections: t_utc is missing in {int(times.isna().sum())} rows")
+    sequence = checked["sequence"].astype(str) if "sequence" in checked.columns else "all"
+    return checked.assign(t_utc=times.dt.tz_convert("UTC").astype("datetime64[us, UTC]"), sequence=sequence)
+
+
+def sightings_of(rows: pd.DataFrame, sequence: str, views: Views | None, position_sigma_m: float) -> Sightings:
+    """Sort the checked rows of one sequence and place them among its frames."""
+    rows = rows.sort_values(["t_utc", "x_m", "y_m", "detection_id"], kind="stable", ignore_index=True)
+    times = rows["t_utc"].dt.tz_localize(None).to_numpy("datetime64[us]")
+    xy = rows[["x_m", "y_m"]].to_numpy(float)
+    seen = np.unique(times)
+    frame_t = seen if views is None else np.asarray(views.t_utc, "datetime64[us]")
+    if not np.isin(seen, frame_t).all():
+        raise UnusableData(f"sequence {sequence}: detections at times at which no frame was taken")
+    if len(frame_t) > 1 and not (np.diff(frame_t) > np.timedelta64(0)).all():
+        raise UnusableData(f"sequence {sequence}: the times of its frames do not increase")
+    frame = np.searchsorted(frame_t, times)
+    registered = np.zeros(len(frame_t)) if views is None else np.nan_to_num(views.position_sigma_m)
+    border = np.broadcast_to(_hull(xy), (len(frame_t), *_hull(xy).shape)) if views is None else views.corners_m
+    rgb = rows[COLOUR].to_numpy(float) if set(COLOUR) <= set(rows.columns) else None
+    return Sightings(
+        sequence=sequence,
+        start=pd.Timestamp(frame_t[0], tz="UTC") if len(frame_t) else pd.Timestamp(0, tz="UTC"),
+        rows=rows,
+        frame=frame.astype(np.int64),
+        frame_s=(frame_t - frame_t[:1]) / np.timedelta64(1, "s"),
+        first=np.searchsorted(frame, np.arange(len(frame_t) + 1)).astype(np.int64),
+        xy=xy,
+        sigma_m=np.hypot(position_sigma_m, registered[frame]),
+        rgb=rgb,
+        border=np.asarray(border, float),
+    )
+
+
+def inside_m(border: Array, xy: Array) -> Array:
+    """Return how far points (n, 2) lie inside the convex outlines (n, c, 2); negative = outside. Either orientation."""
+    side = np.roll(border, -1, axis=1) - border
+    length = np.maximum(np.hypot(side[..., 0], side[..., 1]), 1e-9)
+    to_point = xy[:, None, :] - border
+    left = (side[..., 0] * to_point[..., 1] - side[..., 1] * to_point[..., 0]) / length
+    centre = border.mean(axis=1, keepdims=True) - border
+    turn = np.sign((side[..., 0] * centre[..., 1] - side[..., 1] * centre[..., 0]).sum(axis=1, keepdims=True))
+    return np.asarray((left * turn).min(axis=1))
+
+
+def _hull(xy: Array) -> Array:
+    """Return the convex hull of points as (c, 2), slightly grown; a box where there is no hull."""
+    low, high = (xy.min(axis=0), xy.max(axis=0)) if len(xy) else (np.zeros(2), np.zeros(2))
+    try:
+        hull = xy[ConvexHull(xy).vertices] if len(xy) >= 3 else None
+    except QhullError:
+        hull = None
+    if hull is None:
+        low, high = low - HULL_MARGIN_M, high + HULL_MARGIN_M
+        return np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]])
+    centre = hull.mean(axis=0)
+    outward = hull - centre
+    return np.asarray(hull + HULL_MARGIN_M * outward / np.maximum(np.hypot(*outward.T), 1e-9)[:, None])
