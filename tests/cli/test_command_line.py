@@ -59,7 +59,7 @@ def test_a_misspelt_command_is_suggested() -> None:
         (("run", "missing.yaml"), 78),
         (("check", "missing.yaml"), 78),
         (("schema", "no_such_table"), 78),
-        (("evaluate", "nowhere", "nothing"), 66),
+        (("evaluate", "nowhere", "nothing"), 78),
         (("run", "empty.yaml"), 66),
         (("run", "unmounted.yaml"), 66),
         (("run", "wrong.yaml"), 78),

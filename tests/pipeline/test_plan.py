@@ -85,8 +85,8 @@ def test_another_day_is_left_alone() -> None:
 @pytest.mark.parametrize(
     ("sections", "steps"),
     [
-        ({"detection": {"min_score": 0.3}}, {"detect", "track", "traffic", "picture"}),
-        ({"tracking": {"coast_s": 7.0}}, {"track", "traffic", "picture"}),
+        ({"detection": {"weak_score": 0.3}}, {"detect", "track", "traffic", "picture"}),
+        ({"tracking": {"min_sightings": 3}}, {"track", "traffic", "picture"}),
         ({"traffic": {"bin_s": 300}}, {"traffic", "picture"}),
         ({"survey": {"name": "other"}}, {"picture"}),
         ({"execution": {"unit_s": 60.0, "halo_s": 10.0, "workers": 2}}, set()),

@@ -225,6 +225,20 @@ class TestReference:
         assert not ((row + half >= 100) & (row - half < 160) & (col + half >= 50) & (col - half < 400)).any()
         assert register(view(motion(shift=(6, 4))), made, params=PARAMS).accepted
 
+    def test_where_nearly_everything_changes_patches_lie_anywhere(self, view, reference):
+        avoid = np.ones((ROWS, COLUMNS), bool)
+        avoid[:60, :60] = False
+        made = prepare_reference(view(noise=2.0, seed=99), avoid=avoid, params=PARAMS)
+        np.testing.assert_array_equal(made.centres_px, reference.centres_px)
+
+    def test_half_the_ground_barred_keeps_the_number_of_patches_up(self, view, reference):
+        avoid = np.zeros((ROWS, COLUMNS), bool)
+        avoid[:, ::120] = True
+        avoid = cv2.dilate(avoid.astype(np.uint8), np.ones((1, 60))) > 0
+        made = prepare_reference(view(), avoid=avoid, params=PARAMS)
+        assert 0.5 * len(reference.centres_px) < len(made.centres_px) <= 1.2 * len(reference.centres_px)
+        assert not avoid[made.centres_px[:, 1].astype(int), made.centres_px[:, 0].astype(int)].any()
+
     def test_no_patch_beside_missing_data(self, view):
         frame = view()
         frame[:, :80] = 0

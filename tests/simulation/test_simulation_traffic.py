@@ -69,7 +69,7 @@ def test_speed_is_the_derivative_of_place(fine: Run) -> None:
 def test_accelerations_are_those_of_vehicles(fine: Run) -> None:
     accel = fine.states.accel_mps2
     assert 1.5 < accel.max() < 3.0
-    assert -9.0 < accel.min() < -1.5
+    assert -6.0 < accel.min() < -1.5
     assert np.quantile(accel, 0.001) > -4.5
 
 

@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 from traffic_worlds import path, trajectories_of, view
 
+from vtrack_batch.model.views import Views
 from vtrack_batch.traffic.measure import measure
 from vtrack_batch.traffic.params import ProposalParams, TrafficParams
 from vtrack_batch.traffic.propose import cluster_of, compass_names, propose_zones
@@ -100,6 +101,14 @@ def test_too_few_vehicles_make_no_zone(views):
     assert propose_zones(trajectories_of(lonely).iloc[:0], nobody, views, params=PARAMS) == []
     lost = trajectories_of(lonely, start_reason="appeared", end_reason="lost")
     assert propose_zones(lost, lonely, views, params=PARAMS) == []
+
+
+def test_a_platform_that_passes_by_gets_no_zones(crossing):
+    points, trajectories, views, *_ = crossing
+    still = views["s"]
+    shift = np.linspace(0, 200, len(still))[:, None, None] * np.array([1.0, 0.0])
+    passing = {"s": Views("s", still.t_utc, still.corners_m + shift, still.position_sigma_m)}
+    assert propose_zones(trajectories, points, passing, params=PARAMS) == []
 
 
 def test_clusters_are_numbered_by_place_and_strays_belong_to_none():

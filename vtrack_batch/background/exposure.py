@@ -13,12 +13,17 @@ import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.linalg import solveh_banded
 
 GAIN_SHIFT = 3
 """The gain is looked up once per 2^3 x 2^3 pixels; it changes far more slowly."""
 
 _FEWEST_PAIRS = 400
-_FEWEST_PER_LEVEL = 60
+_FLAT_LEVELS = 6.0
+_STIFFNESS = 3e4
+_QUARTILES = (0.25, 0.5, 0.75)
+_USUAL_SCATTER = 8.0
+_LINE_TRUST = 0.003
 _FEWEST_PER_TILE = 24
 _GAIN_BINS = 256
 _GAIN_LIMIT = 2.0
@@ -45,9 +50,10 @@ def fit_exposure(
 ) -> Exposure:
     """Fit the exposure that takes *picture* to *target*, both (h, w, 3) uint8 and aligned.
 
-    *usable* (h, w) bool marks flat ground seen in both; *tile_px* is the distance of the nodes of the gain. Too few
+    *usable* (h, w) bool marks ground seen in both; *tile_px* is the distance of the nodes of the gain. Too few
     usable pixels give the identity.
     """
+    usable = _flat(target, usable)
     counts = _joint_counts(picture, target, usable)
     levels = np.stack([_monotone_map(counts[channel]) for channel in range(3)]).astype(np.float32)
     rows = max(1, round(picture.shape[0] / tile_px))
@@ -63,56 +69,52 @@ def _smooth(gain: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(cv2.GaussianBlur(gain, (0, 0), 0.8), np.float32)
 
 
+def _flat(target: NDArray[np.uint8], usable: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the flatter half of the *usable* points: beside edges a pixel's partner is often another thing."""
+    grey = cv2.cvtColor(target, cv2.COLOR_RGB2GRAY)
+    square = np.ones((3, 3), np.uint8)
+    local_range = cv2.subtract(cv2.dilate(grey, square), cv2.erode(grey, square))
+    middle = np.median(local_range[usable]) if usable.any() else 0
+    return np.asarray(usable & (local_range <= max(float(middle), _FLAT_LEVELS)))
+
+
 def _monotone_map(counts: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return the target's level for every level of the picture, from joint *counts* (target level, picture level)."""
     own = np.arange(256.0)
     per_level = counts.sum(axis=1)
     if per_level.sum() < _FEWEST_PAIRS:
         return own
-    # Levels are pooled with their neighbours until enough pairs stand behind each median.
-    pooled = np.cumsum(np.vstack([np.zeros((1, 256), np.int64), counts]), axis=0)
-    known, seen_as, weight = [], [], []
-    for level in range(256):
-        for reach in (1, 2, 4, 7):
-            window = pooled[min(256, level + reach + 1)] - pooled[max(0, level - reach)]
-            if window.sum() >= _FEWEST_PER_LEVEL and per_level[level] > 0:
-                cumulated = np.cumsum(window)
-                known.append(float(level))
-                seen_as.append(float(np.interp(0.5 * cumulated[-1], cumulated, own)))
-                weight.append(float(window.sum()))
-                break
-    if len(known) < 2:
-        return own
-    curve = _isotonic(np.array(seen_as), np.array(weight))
-    return _inverse(np.array(known), curve)
-
-
-def _isotonic(values: NDArray[np.float64], weight: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Smooth over neighbouring levels, then pool adjacent violators: the nearest non-decreasing curve."""
-    kernel = np.array([1.0, 2.0, 3.0, 2.0, 1.0])
-    weight = np.minimum(weight, np.median(weight))
-    smooth = np.convolve(np.pad(values * weight, 2), kernel, "valid") / np.convolve(np.pad(weight, 2), kernel, "valid")
-    blocks: list[list[float]] = []
-    for value, mass in zip(smooth, weight, strict=True):
-        blocks.append([value, mass, 1])
-        while len(blocks) > 1 and blocks[-2][0] >= blocks[-1][0]:
-            last = blocks.pop()
-            total = blocks[-1][1] + last[1]
-            blocks[-1] = [(blocks[-1][0] * blocks[-1][1] + last[0] * last[1]) / total, total, blocks[-1][2] + last[2]]
-    return np.concatenate([np.full(int(size), value) for value, _, size in blocks])
-
-
-def _inverse(known: NDArray[np.float64], seen_as: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the target level for every picture level 0..255; beyond what was seen the ratio of the ends goes on."""
-    level, first = np.unique(seen_as, return_index=True)
-    last = np.r_[first[1:], len(seen_as)] - 1
-    target = (known[first] + known[last]) / 2
-    own = np.arange(256.0)
-    mapped = np.interp(own, level, target)
-    below, above = own < level[0], own > level[-1]
-    mapped[below] = own[below] * target[0] / max(level[0], 1.0)
-    mapped[above] = target[-1] + (own[above] - level[-1]) * target[-1] / max(level[-1], 1.0)
+    cumulated = np.cumsum(counts, axis=1)
+    low, middle, high = ((cumulated < share * per_level[:, None]).sum(axis=1).astype(float) for share in _QUARTILES)
+    # Levels at which partners scatter widely are those of things that stand elsewhere in the picture: roofs, markings.
+    trust = np.minimum(per_level * (256.0 / per_level.sum()), 1.0) / (1.0 + ((high - low) / _USUAL_SCATTER) ** 2)
+    seen_as = _smooth_curve(middle, trust)
+    # The inverse of the curve; beyond its ends the ratio goes on.
+    mapped = np.interp(own, seen_as, own)
+    above, beneath = own > seen_as[-1], own < seen_as[0]
+    mapped[above] = 255.0 * own[above] / max(seen_as[-1], 1.0)
+    mapped[beneath] = 0.0
     return mapped
+
+
+def _smooth_curve(values: NDArray[np.float64], trust: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Fit an increasing smooth curve to *values* (256,); levels of little *trust* follow the straight line of the rest.
+
+    Source: Whittaker's smoother with second differences (Eilers 2003), on the residuals of a line by iterated weights.
+    """
+    own, weight = np.arange(256.0), trust
+    line = own
+    for _ in range(5):
+        slope, offset = np.polyfit(own, values, 1, w=np.sqrt(weight))
+        line = slope * own + offset
+        weight = trust / (1.0 + ((values - line) / _USUAL_SCATTER) ** 2)
+    pull = weight + _LINE_TRUST
+    bands = np.zeros((3, 256))
+    bands[2] = pull + _STIFFNESS * np.r_[1.0, 5.0, np.full(252, 6.0), 5.0, 1.0]
+    bands[1, 1:] = _STIFFNESS * np.r_[-2.0, np.full(253, -4.0), -2.0]
+    bands[0, 2:] = _STIFFNESS
+    curve = line + solveh_banded(bands, weight * (values - line))
+    return np.asarray(np.maximum.accumulate(curve) + 1e-6 * own)
 
 
 @njit(cache=True, nogil=True)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vtrack_batch.background.coverage import has_data
 from vtrack_batch.background.exposure import Exposure, expose, fit_exposure
-from vtrack_batch.background.mode import replace_by_mode
+from vtrack_batch.background.mode import replace_busy, road_nearby
 from vtrack_batch.background.params import BackgroundParams
 from vtrack_batch.background.ranks import take_ranks
 from vtrack_batch.background.shadow import Shadows, darkened_ratios, learn_direction, learn_ratio
@@ -20,9 +20,11 @@ from vtrack_batch.background.subtract import Difference, subtract
 
 _STRIP_ROWS = 32
 _POINT_STEP_PX = 3
-_FLAT_LEVELS = 24
 _UNSEEN_TOLERANCE = 255
 _SHADOW_SAMPLES = 7
+_FEWEST_FOR_MODE = 5
+_LEAST_TRAFFIC = 1.5
+_THIRD = 3
 # A third of the |deviations| of a Gaussian lie below 0.43 standard deviations; of the largest of three, partly
 # correlated channels below about 0.7.
 _THIRD_TO_SIGMA = 1 / 0.7
@@ -81,9 +83,12 @@ def learn_background(samples: Sequence[Sample], *, params: BackgroundParams) -> 
     if len({sample.pixels.shape for sample in samples}) > 1:
         raise ValueError("samples of one background must have one size")
     covered = [has_data(sample.pixels) for sample in samples]
-    exposures = _exposures(samples, covered, params)
-    parts = [_learn_strip(samples, covered, exposures, rows, params) for rows in _strips(samples[0].pixels.shape[0])]
+    stacks = _Stacks(samples, covered, _exposures(samples, covered, params))
+    strips = _strips(samples[0].pixels.shape[0])
+    parts = [_median_strip(stacks, rows, params) for rows in strips]
     pixels, spread, changed, seen = (np.concatenate([part[i] for part in parts]) for i in range(4))
+    if len(samples) >= _FEWEST_FOR_MODE:
+        _free_busy_places(stacks, strips, (pixels, spread, changed), params)
     tolerance = _tolerance(pixels, spread, seen, params)
     activity = cv2.blur(changed, (9, 9)) > 1.0 / max(8, len(samples))
     shadows = _shadows(samples, pixels, tolerance, params)
@@ -99,14 +104,13 @@ def _exposures(
     reference = _reference(samples)
     step = _POINT_STEP_PX
     target = np.ascontiguousarray(samples[reference].pixels[::step, ::step])
-    flat = _local_range(samples[reference].pixels)[::step, ::step] <= _FLAT_LEVELS
-    flat &= covered[reference][::step, ::step] > 0
+    seen = covered[reference][::step, ::step] > 0
     size = (target.shape[1], target.shape[0])
     found = []
     for sample, mask in zip(samples, covered, strict=True):
         to_frame = np.linalg.inv(sample.frame_to_reference) @ np.diag([step, step, 1.0])
         picture = _warp(sample.pixels, to_frame, size, cv2.INTER_NEAREST)
-        usable = flat & (_warp(mask, to_frame, size, cv2.INTER_NEAREST) > 0)
+        usable = seen & (_warp(mask, to_frame, size, cv2.INTER_NEAREST) > 0)
         found.append(fit_exposure(picture, target, usable, tile_px=params.gain_tile_px / step))
     return found
 
@@ -130,49 +134,61 @@ def _strips(height: int) -> list[tuple[int, int]]:
 Strip = tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.float32], NDArray[np.bool_]]
 
 
-def _learn_strip(
-    samples: Sequence[Sample],
-    masks: Sequence[NDArray[np.uint8]],
-    exposures: Sequence[Exposure],
-    rows: tuple[int, int],
-    params: BackgroundParams,
-) -> Strip:
+@dataclass(frozen=True, eq=False)
+class _Stacks:
+    """Gives the rows of all samples at the reference's place and exposure, some at a time."""
+
+    samples: Sequence[Sample]
+    masks: Sequence[NDArray[np.uint8]]
+    exposures: Sequence[Exposure]
+
+    def rows(self, top: int, bottom: int) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+        """Return the samples' colours (n, h, w, 3) and where each covers the ground (n, h, w)."""
+        height, width = self.samples[0].pixels.shape[:2]
+        stack = np.empty((len(self.samples), bottom - top, width, 3), np.uint8)
+        covered = np.empty(stack.shape[:3], np.bool_)
+        down = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, top], [0.0, 0.0, 1.0]])
+        for i, (sample, mask, exposure) in enumerate(zip(self.samples, self.masks, self.exposures, strict=True)):
+            to_frame = np.linalg.inv(sample.frame_to_reference) @ down
+            stack[i] = _warp(sample.pixels, to_frame, (width, bottom - top), cv2.INTER_LINEAR)
+            covered[i] = _warp(mask, to_frame, (width, bottom - top), cv2.INTER_LINEAR) == 255
+            expose(stack[i], exposure.levels, exposure.gain_map(height, width), top)
+        return stack, covered
+
+
+def _median_strip(stacks: _Stacks, rows: tuple[int, int], params: BackgroundParams) -> Strip:
     """Return colour, temporal spread, share of samples that differ, and whether seen, for the rows top..bottom."""
-    stack, covered = _aligned(samples, masks, exposures, rows)
-    count = len(samples)
-    fewest = max(1, min(params.fewest_samples, (count + 1) // 2))
+    stack, covered = stacks.rows(*rows)
+    count = len(stack)
     middle = ((count - 1) // 2, count // 2)
     padded = stack.copy()
     _pad(padded, covered)
     low, high = take_ranks(padded, middle)
     pixels = low if middle[0] == middle[1] else ((low.astype(np.uint16) + high + 1) >> 1).astype(np.uint8)
     deviation, changed = _deviations(stack, covered, pixels, params.change_levels)
-    busy = changed > params.busy_share
-    if busy.any() and count >= 5:
-        replace_by_mode(pixels, stack, covered, busy)
-        deviation, changed = _deviations(stack, covered, pixels, params.change_levels)
-    (spread,) = take_ranks(deviation, (count // 3,))
+    (spread,) = take_ranks(deviation, (count // _THIRD,))
+    fewest = max(1, min(params.fewest_samples, (count + 1) // 2))
     return pixels, spread, changed, covered.sum(axis=0) >= fewest
 
 
-def _aligned(
-    samples: Sequence[Sample],
-    masks: Sequence[NDArray[np.uint8]],
-    exposures: Sequence[Exposure],
-    rows: tuple[int, int],
-) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """Return the samples' rows at the reference's place and exposure (n, h, w, 3), and where each covers the ground."""
-    height, width = samples[0].pixels.shape[:2]
-    top, bottom = rows
-    stack = np.empty((len(samples), bottom - top, width, 3), np.uint8)
-    covered = np.empty(stack.shape[:3], np.bool_)
-    down = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, top], [0.0, 0.0, 1.0]])
-    for i, (sample, mask, exposure) in enumerate(zip(samples, masks, exposures, strict=True)):
-        to_frame = np.linalg.inv(sample.frame_to_reference) @ down
-        stack[i] = _warp(sample.pixels, to_frame, (width, bottom - top), cv2.INTER_LINEAR)
-        covered[i] = _warp(mask, to_frame, (width, bottom - top), cv2.INTER_LINEAR) == 255
-        expose(stack[i], exposure.levels, exposure.gain_map(height, width), top)
-    return stack, covered
+def _free_busy_places(
+    stacks: _Stacks,
+    strips: Sequence[tuple[int, int]],
+    learned: tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.float32]],
+    params: BackgroundParams,
+) -> None:
+    """Overwrite colour, spread and share of change where the median is doubtful."""
+    pixels, spread, changed = learned
+    busy = changed > params.busy_share
+    traffic = (changed > _LEAST_TRAFFIC / len(stacks.samples)) & ~(changed > 0.8 * params.busy_share)
+    road = road_nearby(pixels, traffic)
+    for top, bottom in strips:
+        if not busy[top:bottom].any():
+            continue
+        stack, covered = stacks.rows(top, bottom)
+        replace_busy(pixels[top:bottom], stack, covered, busy[top:bottom], road[top:bottom])
+        deviation, changed[top:bottom] = _deviations(stack, covered, pixels[top:bottom], params.change_levels)
+        (spread[top:bottom],) = take_ranks(deviation, (len(stack) // _THIRD,))
 
 
 @njit(cache=True, nogil=True)

@@ -20,7 +20,7 @@ GROUND, OBJECT, SHADOW, UNSEEN = 0, 1, 2, 3
 FULL = 100
 """Evidence of a pixel that surely differs."""
 
-_FLAT_LEVELS = 14
+_UNSEEN = 255
 _POINT_STEP_PX = 3
 _DARKEST_LEVEL = 24
 
@@ -65,7 +65,7 @@ def subtract(
     step = _POINT_STEP_PX
     points = seen[::step, ::step]
     picture, target = np.ascontiguousarray(frame[::step, ::step]), np.ascontiguousarray(points[:, :, :3])
-    exposure = fit_exposure(picture, target, points[:, :, 3] <= _FLAT_LEVELS, tile_px=tile_px / step)
+    exposure = fit_exposure(picture, target, points[:, :, 3] < _UNSEEN, tile_px=tile_px / step)
     evidence, classes = np.empty((height, width), np.uint8), np.empty((height, width), np.uint8)
     _classify(
         frame, seen, exposure.levels, exposure.gain_map(height, width), threshold, *shadow_band, evidence, classes
@@ -78,7 +78,7 @@ def _classify(frame, ground, levels, gain, threshold, shadow_low, shadow_high, e
     for r in range(frame.shape[0]):
         for c in range(frame.shape[1]):
             tolerance = float(ground[r, c, 3])
-            if tolerance == 255:
+            if tolerance == _UNSEEN:
                 evidence[r, c] = 0
                 classes[r, c] = UNSEEN
                 continue

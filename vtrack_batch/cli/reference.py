@@ -50,7 +50,7 @@ def chapter_page(chapter: str) -> str:
 
 def commands_page() -> str:
     """Return the help of all commands in Markdown."""
-    parent = click.Context(group, info_name="vtrack-batch")
+    parent = click.Context(group, info_name="vtrack-batch", **group.context_settings)
     lines = ["# Commands", "", "Made by `make docs` from the commands' own help.", ""]
     for name in COMMANDS:
         command = group.get_command(parent, name)

@@ -28,14 +28,14 @@ def fit_boxes(
     difference: Difference, templates: Templates, seeds: NDArray[np.int32], params: DetectionParams
 ) -> Boxes:
     """Return boxes whose score is at least ``weak_score``, best first; *seeds* (n, 2) = rows, columns to try."""
-    margin = int(np.abs(templates.offsets).max()) + 6
+    margin = int(max(np.abs(templates.offsets).max(), np.abs(templates.half_axes).max() + np.abs(templates.shades).max())) + 6
     inner, rim, cast = _layers(difference.evidence, difference.classes, margin, params.shadow_evidence)
     width = inner.shape[1]
     offsets = templates.offsets[:, 0] * width + templates.offsets[:, 1]
     places = (seeds[:, 0] + margin) * width + seeds[:, 1] + margin
     weights = np.array([params.rim_weight, params.shadow_weight, params.visible_share, params.weak_score])
     layers = inner.ravel(), rim.ravel(), cast.ravel()
-    boxes = _fit(*layers, width, offsets, templates.starts, templates.half_axes, places.astype(np.int64), weights)
+    boxes = _fit(*layers, width, offsets, templates.starts, templates.half_axes, templates.shades, places.astype(np.int64), weights)
     boxes[:, :2] -= margin
     return np.asarray(boxes)
 
@@ -59,7 +59,7 @@ def _layers(evidence, classes, margin, shadow_evidence):  # type: ignore[no-unty
 
 
 @njit(cache=True, nogil=True)
-def _fit(inner, rim, cast, width, offsets, starts, half_axes, places, weights):  # type: ignore[no-untyped-def]
+def _fit(inner, rim, cast, width, offsets, starts, half_axes, shades, places, weights):  # type: ignore[no-untyped-def]
     best = np.zeros((len(places), 3))
     queue = [(0.0, 0)]
     queue.clear()
@@ -88,7 +88,7 @@ def _fit(inner, rim, cast, width, offsets, starts, half_axes, places, weights): 
         boxes[found, 0], boxes[found, 1] = place % width + right, place // width + down
         boxes[found, 2], boxes[found, 3], boxes[found, 4] = d, k, score
         boxes[found, 5] = 1.0 - _share_of(inner, offsets, starts[d, k], place, _HIDDEN)
-        _take(inner, rim, width, place, half_axes[d, k])
+        _take(inner, rim, cast, width, place, half_axes[d, k], shades[k])
         found += 1
     return boxes[:found]
 
@@ -180,15 +180,24 @@ def _share_of(inner, offsets, starts, place, what):  # type: ignore[no-untyped-d
 
 
 @njit(cache=True, nogil=True)
-def _take(inner, rim, width, place, half_axes):  # type: ignore[no-untyped-def]
-    """Mark the pixels of the box with *half_axes* (along x, along y, across x, across y) in px as taken."""
+def _take(inner, rim, cast, width, place, half_axes, shade):  # type: ignore[no-untyped-def]
+    """Mark the pixels of the box with *half_axes* (along x, along y, across x, across y) in px as taken.
+
+    Its shadow, at most as long as *shade* (x, y) in px, is explained by it and evidence of nothing else.
+    """
     lx, ly, wx, wy = half_axes
     reach_r, reach_c = int(abs(ly) + abs(wy)) + 1, int(abs(lx) + abs(wx)) + 1
-    determinant = lx * wy - ly * wx
+    determinant = abs(lx * wy - ly * wx)
+    steps = int(np.ceil(max(abs(shade[0]), abs(shade[1]))))
     for y in range(-reach_r, reach_r + 1):
         for x in range(-reach_c, reach_c + 1):
-            if abs(x * wy - y * wx) <= abs(determinant) and abs(y * lx - x * ly) <= abs(determinant):
-                at = place + y * width + x
-                rim[at] = 0
-                if inner[at] != _HIDDEN:
-                    inner[at] = _TAKEN
+            if abs(x * wy - y * wx) > determinant or abs(y * lx - x * ly) > determinant:
+                continue
+            at = place + y * width + x
+            rim[at] = 0
+            if inner[at] != _HIDDEN:
+                inner[at] = _TAKEN
+            for step in range(1, steps + 1):
+                moved = at + int(round(shade[1] * step / steps)) * width + int(round(shade[0] * step / steps))
+                if 0 <= moved < len(inner) and cast[moved] == 1 and inner[moved] > 0:
+                    inner[moved] = 0

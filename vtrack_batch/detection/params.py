@@ -14,7 +14,7 @@ class DetectionParams(Params):
     threshold_levels: float = Field(12.0, gt=0, description="difference beyond the tolerance that gives half evidence")
     gain_tile_m: float = Field(24.0, gt=0, description="distance of the nodes of the smooth gain between frame and ground")
     sizes_m: tuple[tuple[float, float], ...] = Field(
-        ((4.4, 1.8), (5.6, 2.1), (8.0, 2.5), (12.0, 2.6), (16.5, 2.6)),
+        ((4.4, 1.8), (5.6, 2.1), (7.0, 2.4), (8.5, 2.5), (10.2, 2.5), (12.2, 2.5), (14.5, 2.5), (17.0, 2.6)),
         min_length=1,
         description="length and width of the boxes that are fitted, the commonest first",
     )
@@ -22,8 +22,8 @@ class DetectionParams(Params):
     seed_step_m: float = Field(0.6, gt=0, description="distance of the places at which boxes are tried")
     rim_m: float = Field(0.45, gt=0, description="distance from the box of the rim that should be free")
     rim_weight: float = Field(0.7, ge=0, description="what a wholly occupied rim takes from a box's score")
-    shadow_evidence: float = Field(0.4, ge=0, le=1, description="weight of shadow-like pixels inside a box")
-    shadow_weight: float = Field(0.15, ge=0, description="what a complete cast shadow adds to a box's score")
+    shadow_evidence: float = Field(0.3, ge=0, le=1, description="weight of shadow-like pixels inside a box")
+    shadow_weight: float = Field(0.25, ge=0, description="what a complete cast shadow adds to a box's score")
     shadow_reach_m: float = Field(1.2, gt=0, description="length of cast shadow that is looked for")
     weak_score: float = Field(0.5, gt=0, le=1, description="least score of a candidate on a known road")
     strict_score: float = Field(0.60, gt=0, le=1.5, description="least score of a candidate anywhere")
@@ -35,7 +35,7 @@ class DetectionParams(Params):
     fastest_mps: float = Field(60.0, gt=0, description="highest speed of a chain")
     chain_miss_m: float = Field(1.0, gt=0, description="most that a sighting may miss its chain by, sideways")
     chain_accel_mps2: float = Field(2.5, ge=0, description="acceleration that a chain may show")
-    chain_colour: float = Field(40.0, gt=0, description="largest difference of colour within a chain, in levels")
+    chain_colour: float = Field(60.0, gt=0, description="largest difference of colour within a chain, in levels")
     fewest_chains: int = Field(5, ge=1, description="chains without which a road is not believed")
     road_reach_m: float = Field(2.5, gt=0, description="how far the road reaches to both sides of a chain")
     road_ahead_m: float = Field(12.0, ge=0, description="how far the road goes on straight before and after a chain")

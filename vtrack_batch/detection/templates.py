@@ -13,6 +13,7 @@ INSIDE, FRONT, BACK, LEFT, RIGHT, CAST = range(6)
 """Parts of a template: the box, four strips just outside of it, and where its cast shadow should lie."""
 
 PARTS = 6
+_CAR_REACH, _LORRY_REACH, _LORRY_WIDTH_M = 1.5, 3.5, 2.3
 _MOST_ALONG, _MOST_ACROSS = 16, 8
 
 
@@ -22,12 +23,13 @@ class Templates:
 
     ``offsets`` (n, 2) int32 (row, column); ``starts`` (directions, sizes, 7) int32: part p lies in
     starts[d, k, p]:starts[d, k, p + 1]; ``half_axes`` (directions, sizes, 4) float64: from the centre to the front (x,
-    y) and to the side (x, y), in px.
+    y) and to the side (x, y), in px; ``shades`` (sizes, 2) the longest shadow that each size may cast (x, y), in px.
     """
 
     offsets: NDArray[np.int32]
     starts: NDArray[np.int32]
     half_axes: NDArray[np.float64]
+    shades: NDArray[np.float64]
 
 
 def draw_templates(
@@ -52,7 +54,18 @@ def draw_templates(
     half_axes = np.concatenate(
         [axes[:, None] * length[:, None] * px_per_m, sideways[:, None] * width[:, None] * px_per_m], axis=2
     )
-    return Templates(np.concatenate(offsets), starts, half_axes)
+    return Templates(np.concatenate(offsets), starts, half_axes, _shades(px_per_m, shadow, params))
+
+
+def _shades(
+    px_per_m: tuple[float, float], shadow: tuple[float, float] | None, params: DetectionParams
+) -> NDArray[np.float64]:
+    """Return how far shadows may reach: lorries stand higher than cars, by about as much as they are wider and more."""
+    if shadow is None:
+        return np.zeros((len(params.sizes_m), 2))
+    on_ground = np.array(shadow) / np.array(px_per_m)
+    longest = params.shadow_reach_m * np.array([_LORRY_REACH if width > _LORRY_WIDTH_M else _CAR_REACH for _, width in params.sizes_m])
+    return np.asarray(longest[:, None] * (np.array(shadow) / np.linalg.norm(on_ground)))
 
 
 def _parts(

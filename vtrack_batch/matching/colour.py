@@ -100,7 +100,7 @@ def _spread(ratios: Array, assumed: float = 20.0) -> float:
     """Return the standard deviation that the median of absolute values tells, drawn to 1 as if by *assumed* values."""
     if not len(ratios):
         return 1.0
-    found = max(float(np.median(ratios)) / 0.6745, 0.3)
+    found = max(float(np.median(ratios)) / 0.6745, 0.5)
     share = len(ratios) / (len(ratios) + assumed)
     return float(np.exp(share * np.log(found)))
 

@@ -10,12 +10,13 @@ from vtrack_batch.matching import decision
 from vtrack_batch.matching.candidates import Array, Edges, candidates
 from vtrack_batch.matching.colour import Paint, colour_labels, equal_labels, learned_noise
 from vtrack_batch.matching.flow import FlowMap
-from vtrack_batch.matching.neighbours import labels_from, match_by_neighbours
+from vtrack_batch.matching.neighbours import labels_from, match_by_neighbours, neighbours_of
 from vtrack_batch.matching.params import ColourParams, MatchingParams, Method
 from vtrack_batch.matching.relaxation import Labels, relax
 from vtrack_batch.matching.vehicles import Vehicles
 
-SURE = 0.9
+SURE = 0.9  # links from which the spread of colours is learned
+MOVING_MPS = 2.0
 PAPER = {"original", "colour", "opposite", "proposed"}
 DECISION = {"original": "argmax", "colour": "argmax", "opposite": "mutual", "proposed": "mutual", "nearest": "argmax"}
 
@@ -84,6 +85,8 @@ def untrained_labels(
     if flow_map is not None:
         prior = flow_map.mixed(prior, a.xy[edges.i], edges.displacement, elapsed_s)
 
+    neighbours = neighbours_of(edges, a.xy, b.xy, elapsed_s=elapsed_s, params=params.neighbours)
+
     def judged(colour: ColourParams) -> Labels:
         log_colour = None
         if a.rgb is not None and b.rgb is not None and len(edges):
@@ -91,14 +94,13 @@ def untrained_labels(
         evidence = log_evidence(edges, log_colour, elapsed_s, params)
         if alone:
             return labels_from(edges, evidence + np.log(prior))
-        return match_by_neighbours(
-            edges, evidence, prior, a.xy, b.xy, elapsed_s=elapsed_s, params=params.neighbours
-        )[0]
+        return match_by_neighbours(edges, neighbours, evidence, prior, params.neighbours)[0]
 
     if a.rgb is None or b.rgb is None or params.colour.first_guess == 1:
         return judged(params.colour)
     guess = judged(params.colour.wide())
-    sure = np.minimum(guess.p, guess.q) > SURE
+    # what stands looks more alike from frame to frame than what drives
+    sure = (np.minimum(guess.p, guess.q) > SURE) & (np.hypot(*edges.displacement.T) > MOVING_MPS * elapsed_s)
     return judged(learned_noise(a.rgb[edges.i[sure]], b.rgb[edges.k[sure]], params.colour))
 
 

@@ -37,30 +37,39 @@ class Votes:
     voters: Array
 
 
+@dataclass(frozen=True)
+class Neighbours:
+    """The votes of neighbours in the earlier and in the later image: geometry only, found once."""
+
+    earlier: Votes
+    later: Votes
+
+
+def neighbours_of(
+    edges: Edges, earlier_xy: Array, later_xy: Array, *, elapsed_s: float, params: NeighbourParams
+) -> Neighbours:
+    """Find who has a say in which edge; points are (n, 2) and (m, 2) metres."""
+    spread = params.spread_m(elapsed_s)
+    return Neighbours(
+        find_votes(edges.i, edges.displacement, earlier_xy, spread, params),
+        find_votes(edges.k, edges.displacement, later_xy, spread, params),
+    )
+
+
 def match_by_neighbours(
-    edges: Edges,
-    log_evidence: Array,
-    prior: Array,
-    earlier_xy: Array,
-    later_xy: Array,
-    *,
-    elapsed_s: float,
-    params: NeighbourParams,
+    edges: Edges, neighbours: Neighbours, log_evidence: Array, prior: Array, params: NeighbourParams
 ) -> tuple[Labels, Array]:
     """Return label probabilities and log-odds (e,) of the edges.
 
     *log_evidence* (e,) is the log-likelihood ratio of everything but motion, per density of vehicles (m2); *prior* (e,)
     the density (1/m2) of each displacement before neighbours are asked.
     """
-    spread = params.spread_m(elapsed_s)
-    from_i = find_votes(edges.i, edges.displacement, earlier_xy, spread, params)
-    from_k = find_votes(edges.k, edges.displacement, later_xy, spread, params)
-    voters = params.prior_weight + 0.5 * (from_i.voters + from_k.voters)
+    a, b = neighbours.earlier, neighbours.later
+    voters = params.prior_weight + 0.5 * (a.voters + b.voters)
     expected = prior
     for _ in range(params.rounds):
-        log_odds = log_evidence + np.log(expected)
-        p = _against_rivals(edges, log_odds)
-        heard = _heard(from_i.start, from_i.by, from_i.weight, p) + _heard(from_k.start, from_k.by, from_k.weight, p)
+        p = _against_rivals(edges, log_evidence + np.log(expected))
+        heard = _heard(a.start, a.by, a.weight, p) + _heard(b.start, b.by, b.weight, p)
         expected = (params.prior_weight * prior + 0.5 * heard) / voters
     log_odds = log_evidence + np.log(expected)
     return labels_from(edges, log_odds), np.asarray(log_odds)
@@ -94,33 +103,36 @@ def find_votes(owner: Index, displacement: Array, xy: Array, spread: float, para
     by_owner, d = owner[order], np.ascontiguousarray(displacement[order])
     first = np.searchsorted(by_owner, np.arange(len(xy) + 1))
     scale = np.array([spread, params.along_m, params.across_m])
-    start = np.zeros(len(owner) + 1, np.int64)
-    counts, _, _, _ = _votes(by_owner, d, first, *near, xy, scale, start, fill=False)
-    start[1:] = np.cumsum(counts)
-    _, by, weight, voters = _votes(by_owner, d, first, *near, xy, scale, start, fill=True)
-    return _renumbered(order, Votes(start, by, weight, voters))
+    return _renumbered(order, Votes(*_votes(by_owner, d, first, *near, xy, scale)))
 
 
 @njit(cache=True, nogil=True)
-def _votes(owner, d, first, near_start, near, xy, scale, start, fill):  # type: ignore[no-untyped-def]
+def _votes(owner, d, first, near_start, near, xy, scale):  # type: ignore[no-untyped-def]
     spread, along, across = scale
-    counts, voters = np.zeros(len(owner), np.int64), np.zeros(len(owner))
-    by, weight = np.empty(start[-1], np.int32), np.empty(start[-1], np.float32)
+    start, voters = np.zeros(len(owner) + 1, np.int64), np.zeros(len(owner))
+    by, weight = np.empty(16 * len(owner), np.int32), np.empty(16 * len(owner), np.float32)
+    at = 0
     for e in range(len(owner)):
-        i, at = owner[e], start[e]
+        i = owner[e]
         length = np.hypot(d[e, 0], d[e, 1])
+        still = length <= STILL_M
+        ux, uy = (0.0, 0.0) if still else (d[e, 0] / length, d[e, 1] / length)
         for s in range(near_start[i], near_start[i + 1]):
             j = near[s]
             rx, ry = xy[j, 0] - xy[i, 0], xy[j, 1] - xy[i, 1]
-            z = (rx * rx + ry * ry) / along**2
-            if length > STILL_M:
-                u, v = (rx * d[e, 0] + ry * d[e, 1]) / length, (rx * d[e, 1] - ry * d[e, 0]) / length
-                z = (u / along) ** 2 + (v / across) ** 2
+            u, v = rx * ux + ry * uy, rx * uy - ry * ux
+            z = (rx * rx + ry * ry) / along**2 if still else (u / along) ** 2 + (v / across) ** 2
             if z > CUT * CUT:
                 continue
             place = np.exp(-0.5 * z)
             voters[e] += place
-            lo = first[j] + np.searchsorted(d[first[j] : first[j + 1], 0], d[e, 0] - CUT * spread)
+            lo, hi = first[j], first[j + 1]
+            while lo < hi:  # the first edge of j whose dx is near enough
+                middle = (lo + hi) // 2
+                if d[middle, 0] < d[e, 0] - CUT * spread:
+                    lo = middle + 1
+                else:
+                    hi = middle
             for f in range(lo, first[j + 1]):
                 dx, dy = d[f, 0] - d[e, 0], d[f, 1] - d[e, 1]
                 if dx > CUT * spread:
@@ -128,12 +140,13 @@ def _votes(owner, d, first, near_start, near, xy, scale, start, fill):  # type: 
                 q = (dx * dx + dy * dy) / spread**2
                 if q > CUT * CUT:
                     continue
-                counts[e] += 1
-                if fill:
-                    by[at] = f
-                    weight[at] = place * np.exp(-0.5 * q) / (2 * np.pi * spread**2)
-                    at += 1
-    return counts, by, weight, voters
+                if at == len(by):
+                    by, weight = np.append(by, np.empty_like(by)), np.append(weight, np.empty_like(weight))
+                by[at] = f
+                weight[at] = place * np.exp(-0.5 * q) / (2 * np.pi * spread**2)
+                at += 1
+        start[e + 1] = at
+    return start, by[:at], weight[:at], voters
 
 
 def _renumbered(order: Index, votes: Votes) -> Votes:

@@ -17,8 +17,10 @@ Steps
 
 Assumptions
     The ground is nearly a plane. Roofs and trees lean away with parallax and moving vehicles move: both are outvoted as
-    long as they hold less than about 60 % of the patches. Shares of inliers as low as a quarter are normal on
-    real city scenes, so the gate is the residual, not the share. Every frame is laid on the reference directly,
+    long as they hold less than about 60 % of the patches. Shares of inliers as low as a quarter are normal on real city
+    scenes, so the gate is the residual, not the share. Where roads lie on several levels one of them wins, and another
+    one may win in the next frame: preparing the reference a second time, without the places that change between frames
+    (``avoid``), keeps bridges, roofs and trees out and settles that. Every frame is laid on the reference directly,
     never on its neighbour, hence errors do not add up and the order of work does not matter: the same pixels give the
     same matrix, to the bit (sums over patches are of whole numbers, sampling is seeded).
 

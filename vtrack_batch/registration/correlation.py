@@ -32,12 +32,13 @@ def correlate(
     """
     offsets = np.full((len(patches), 2), np.nan)
     scores = np.full(len(patches), np.nan)
-    _correlate(plane, patches, anchors, linear, search_px, offsets, scores)
+    lines = patches.reshape(len(patches), patches.shape[1] ** 2).astype(np.int16)
+    _correlate(plane, patches, lines, anchors, linear, search_px, offsets, scores)
     return offsets, scores
 
 
 @njit(cache=True, nogil=True)
-def _correlate(plane, patches, anchors, linear, search_px, offsets, scores):  # type: ignore[no-untyped-def]
+def _correlate(plane, patches, lines, anchors, linear, search_px, offsets, scores):  # type: ignore[no-untyped-def]
     side = patches.shape[1]
     reach = 2 * search_px + 1
     wide = side + reach - 1
@@ -49,7 +50,7 @@ def _correlate(plane, patches, anchors, linear, search_px, offsets, scores):  # 
         black = _cut(plane, anchors[k], linear[k], window)
         if black > _BLACK_SHARE * wide * wide:
             continue
-        _multiply(window, patches[k].ravel(), strip, products)
+        _multiply(window, lines[k], strip, products)
         _normalise(window, patches[k], products, surface)
         _locate(surface, offsets[k], scores[k : k + 1])
 
@@ -88,7 +89,6 @@ def _multiply(window, patch, strip, products):  # type: ignore[no-untyped-def]
     """
     wide, reach = window.shape[0], products.shape[0]
     side = wide - reach + 1
-    weights = patch.astype(np.int16)
     for across in range(reach):
         for row in range(wide):
             for column in range(side):
@@ -96,8 +96,8 @@ def _multiply(window, patch, strip, products):  # type: ignore[no-untyped-def]
         for down in range(reach):
             covered = strip[down * side : (down + side) * side]
             total = np.int32(0)
-            for k in range(len(weights)):
-                total = np.int32(total + np.int32(np.int32(weights[k]) * np.int32(covered[k])))
+            for k in range(len(patch)):
+                total = np.int32(total + np.int32(np.int32(patch[k]) * np.int32(covered[k])))
             products[down, across] = total
 
 
@@ -127,8 +127,10 @@ def _normalise(window, patch, products, surface):  # type: ignore[no-untyped-def
             value = int(window[down + side - 1, column])
             column_total[column] += value
             column_squares[column] += value * value
-        there_total = column_total[:side].sum()
-        there_squares = column_squares[:side].sum()
+        there_total, there_squares = 0, 0
+        for column in range(side):
+            there_total += column_total[column]
+            there_squares += column_squares[column]
         for across in range(reach):
             spread = n * there_squares - there_total * there_total
             common = n * int(products[down, across]) - total * there_total

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from vtrack_batch.model import homography
 
-_STEPS = 5
+_ROUNDS = 3
+_STEPS = 2
 _FEWEST_POINTS = 8
 # Tukey's biweight is 95 % efficient with a reach of 4.685 sigma; the median of Rayleigh distances is 1.1774 sigma.
 _REACH_OF_MEDIAN = 4.685 / 1.1774
@@ -31,39 +32,20 @@ def polished(
     middle, span = source.mean(axis=0), max(1.0, float(np.ptp(source, axis=0).max()) / 2)
     inward = np.array([[span, 0, middle[0]], [0, span, middle[1]], [0, 0, 1]])
     local, h = np.ascontiguousarray((source - middle) / span), homography.normalised(matrix @ inward)
-    refined = _refine(h, local, target, freedoms, 2 * tolerance_px)
-    return np.asarray(refined @ np.linalg.inv(inward)) if np.isfinite(refined).all() else matrix
-
-
-@njit(cache=True, nogil=True)
-def _refine(h, source, target, freedoms, furthest):  # type: ignore[no-untyped-def]
-    h = h.copy()
-    length = np.empty(len(source))
-    for _ in range(_STEPS):
-        for k in range(len(source)):
-            error_x, error_y, _ = _error(h, source[k], target[k])
-            length[k] = np.sqrt(error_x * error_x + error_y * error_y)
-        close = length[length <= furthest]
+    target = np.ascontiguousarray(target)
+    for _ in range(_ROUNDS):
+        length = np.linalg.norm(homography.apply(h, local) - target, axis=1)
+        close = length[length <= 2 * tolerance_px]
         if len(close) < _FEWEST_POINTS:
-            return h
-        reach = _REACH_OF_MEDIAN * max(np.median(close), _SMALLEST_MEDIAN_PX)
-        normal, right = np.zeros((freedoms, freedoms)), np.zeros(freedoms)
-        _accumulate(h, source, target, reach, normal, right)
-        # A trace of damping keeps points on one line from making the step boundless.
-        for i in range(freedoms):
-            normal[i, i] += 1e-9 * (1 + normal[i, i])
-        h.ravel()[:freedoms] += np.linalg.solve(normal, right)
-    return h
-
-
-@njit(cache=True, nogil=True)
-def _error(h, source, target):  # type: ignore[no-untyped-def]
-    """Return how far right and down of the image of *source* the *target* lies, and the projective depth."""
-    x, y = source
-    depth = h[2, 0] * x + h[2, 1] * y + h[2, 2]
-    at_x = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / depth
-    at_y = (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / depth
-    return target[0] - at_x, target[1] - at_y, depth
+            return matrix
+        reach = _REACH_OF_MEDIAN * max(float(np.median(close)), _SMALLEST_MEDIAN_PX)
+        for _ in range(_STEPS):
+            normal, right = np.zeros((freedoms, freedoms)), np.zeros(freedoms)
+            _accumulate(h, local, target, reach, normal, right)
+            # A trace of damping keeps points on one line from making the step boundless.
+            normal[np.diag_indices(freedoms)] += 1e-9 * (1 + normal.diagonal())
+            h.ravel()[:freedoms] += np.linalg.solve(normal, right)
+    return np.asarray(h @ np.linalg.inv(inward)) if np.isfinite(h).all() else matrix
 
 
 @njit(cache=True, nogil=True)
@@ -72,12 +54,15 @@ def _accumulate(h, source, target, reach, normal, right):  # type: ignore[no-unt
     freedoms = len(right)
     slope = np.zeros((2, 8))
     for k in range(len(source)):
-        x, y = source[k]
-        error_x, error_y, depth = _error(h, source[k], target[k])
-        at_x, at_y = target[k, 0] - error_x, target[k, 1] - error_y
-        weight = max(0.0, 1 - (error_x * error_x + error_y * error_y) / (reach * reach)) ** 2
-        if weight == 0.0:
+        x, y = source[k, 0], source[k, 1]
+        depth = h[2, 0] * x + h[2, 1] * y + h[2, 2]
+        at_x = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / depth
+        at_y = (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / depth
+        error_x, error_y = target[k, 0] - at_x, target[k, 1] - at_y
+        closeness = 1 - (error_x * error_x + error_y * error_y) / (reach * reach)
+        if not closeness > 0:
             continue
+        weight = closeness * closeness
         slope[0, 0], slope[0, 1], slope[0, 2] = x / depth, y / depth, 1 / depth
         slope[1, 3], slope[1, 4], slope[1, 5] = x / depth, y / depth, 1 / depth
         slope[0, 6], slope[0, 7] = -at_x * x / depth, -at_x * y / depth

@@ -58,5 +58,5 @@ def level_contrast(plane: Grey) -> Grey:
 
 def no_data(pixels: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Return where (H, W) *pixels* (H, W, 3) are a wedge without data: pure black over at least 9 x 9 pixels."""
-    black = (pixels.max(axis=2) == 0).astype(np.uint8)
+    black = cv2.inRange(pixels, (0, 0, 0), (0, 0, 0))
     return np.asarray(cv2.morphologyEx(black, cv2.MORPH_OPEN, np.ones((9, 9), np.uint8)) > 0)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from vtrack_batch.model.homography import Array
 from vtrack_batch.simulation.fleet import Looks
@@ -53,6 +52,13 @@ def sprites(looks: Looks, *, centre_px: Array, axes_px: Array, forward: Array, l
     table[:, _GLASS] = looks.glass
     table[:, _SUN_U], table[:, _SUN_V] = forward @ light.towards, left @ light.towards
     table[:, _LIGHT] = 1.0
+    return table
+
+
+def dimmed(table: Array, light: Array) -> Array:
+    """Return the painter's *table* with the sun on each vehicle reduced to the share *light* (n,)."""
+    table = table.copy()
+    table[:, _LIGHT] = light
     return table
 
 
@@ -218,8 +224,3 @@ def body_colour(u, v, sprite, out):  # type: ignore[no-untyped-def]
             out[c] = sprite[_LIGHT] * sprite[_GLASS] * (36.0 + 7.0 * c)
         else:
             out[c] = sprite[_LIGHT] * min(252.0, gain * sprite[paint + c])
-
-
-def blank(height_px: int, width_px: int) -> NDArray[np.float32]:
-    """Return an empty shade map for :func:`cast_shadows`."""
-    return np.zeros((height_px, width_px), np.float32)

@@ -15,7 +15,7 @@ from vtrack_batch.simulation.canvas import Float32
 from vtrack_batch.simulation.fleet import Looks
 from vtrack_batch.simulation.flight import Flight
 from vtrack_batch.simulation.ground import Ground
-from vtrack_batch.simulation.paint import SHADOW_RATIO, Sun, cast_shadows, paint_vehicles, sprites
+from vtrack_batch.simulation.paint import SHADOW_RATIO, Sun, cast_shadows, dimmed, paint_vehicles, sprites
 from vtrack_batch.simulation.params import Scenario
 from vtrack_batch.simulation.stage import Stage, directions
 
@@ -67,11 +67,9 @@ def place(camera: Camera, frame: int, looks: Looks, *, xy_m: Array, forward: Arr
 
 def _in_static_shadow(table: Array, shade: NDArray[np.uint8]) -> Array:
     """Return *table* with each vehicle's light dimmed by the static shadow at its centre."""
-    table = table.copy()
     row = np.clip(np.round(table[:, 1]).astype(int), 0, shade.shape[0] - 1)
     col = np.clip(np.round(table[:, 0]).astype(int), 0, shade.shape[1] - 1)
-    table[:, 20] = 1 - (1 - float(SHADOW_RATIO.mean())) * shade[row, col] / 255
-    return table
+    return dimmed(table, 1 - (1 - float(SHADOW_RATIO.mean())) * shade[row, col] / 255)
 
 
 def _noise_levels(sigma: float) -> Float32:

@@ -180,11 +180,11 @@ def _draw_roof(canvas: Canvas, building: Building, sun: Array, image: Float32, r
         at = middle + rng.uniform(-0.85, 0.85, 2) * half
         size = rng.uniform(0.4, 1.1, 2) if building.gable else rng.uniform(0.5, 2.0, 2)
         level = rng.choice([60.0, 110.0, 205.0]) + rng.normal(0, 10)
-        canvas.fill(image, rectangle((-size[0], size[0]), (-size[1], size[1])) + at + plots_shift(sun), (40, 40, 42))
+        canvas.fill(image, rectangle((-size[0], size[0]), (-size[1], size[1])) + at + _roof_shadow(sun), (40, 40, 42))
         canvas.fill(image, rectangle((-size[0], size[0]), (-size[1], size[1])) + at, (level, level, level * 1.02))
 
 
-def plots_shift(sun: Array) -> Array:
+def _roof_shadow(sun: Array) -> Array:
     """Return the small shift (2,) of a shadow on a roof, away from the *sun*."""
     return np.asarray(-0.5 * sun)
 

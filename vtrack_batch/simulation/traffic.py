@@ -21,6 +21,8 @@ LONGEST_STEP_S = 0.1
 AXLE = 0.3
 """Axles ride on the route, this share of the length before and behind the centre."""
 STANDING_MPS = 0.3
+GENTLE_MPS2 = 2.5
+"""Whoever would have to brake harder than this for an amber light drives on."""
 
 _WAITING, _DRIVING, _GONE = 0, 1, 2
 _S, _V, _A, _STAND, _STATE, _COMMITTED = range(6)
@@ -163,7 +165,7 @@ def _lights(state, roads, drivers, program, t, active):  # type: ignore[no-untyp
         to_line = road[_STOP] - s - half
         if to_line >= 0.0 and state[i, _COMMITTED] == 0.0:
             amber = program[g, 1] <= phase < program[g, 2]
-            if amber and state[i, _V] > 1.0 and state[i, _V] ** 2 > 2 * 3.5 * to_line:
+            if amber and state[i, _V] > 1.0 and state[i, _V] ** 2 > 2 * GENTLE_MPS2 * to_line:
                 state[i, _COMMITTED] = 1.0
         if (to_line < 0.0 or state[i, _COMMITTED] == 1.0) and s - half < road[_EXIT]:
             inside[g] += 1
@@ -237,10 +239,10 @@ def _enter(i, state, roads, drivers):  # type: ignore[no-untyped-def]
             if gap < room:
                 room = gap
                 if gap < 4 * drivers[i, 3]:
-                    speed = min(drivers[i, 3], state[j, _V] + 0.3 * max(0.0, gap - drivers[i, 6]))
+                    speed = min(drivers[i, 3], state[j, _V] + 0.1 * max(0.0, gap - drivers[i, 6]))
         elif j < i and state[j, _STATE] == _WAITING and roads[int(drivers[j, 0]), _IN] == lane:
             return
-    if room > drivers[i, 6] + 0.8 * speed * drivers[i, 5]:
+    if room > drivers[i, 6] + speed * drivers[i, 5]:
         state[i, _STATE] = _DRIVING
         state[i, _S] = drivers[i, 2] / 2
         state[i, _V] = speed

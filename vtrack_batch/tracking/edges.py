@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from vtrack_batch.matching.candidates import candidates
 from vtrack_batch.matching.colour import Paint
 from vtrack_batch.matching.match import displacement_density, log_evidence
-from vtrack_batch.matching.neighbours import match_by_neighbours
+from vtrack_batch.matching.neighbours import match_by_neighbours, neighbours_of
 from vtrack_batch.matching.params import MatchingParams
 from vtrack_batch.tracking.motion import States
 from vtrack_batch.tracking.params import TrackingParams
@@ -58,9 +58,8 @@ def pair_links(
             colour = paint.log_ratio_given(s.rgb[i], s.rgb[k], 0.5 * (log_colour[i] + log_colour[k]))
         evidence = log_evidence(edges, colour, dt, matching)
         prior = displacement_density(edges, dt, matching)
-        _, log_odds = match_by_neighbours(
-            edges, evidence, prior, s.xy[a:b], s.xy[b:c], elapsed_s=dt, params=matching.neighbours
-        )
+        neighbours = neighbours_of(edges, s.xy[a:b], s.xy[b:c], elapsed_s=dt, params=matching.neighbours)
+        _, log_odds = match_by_neighbours(edges, neighbours, evidence, prior, matching.neighbours)
         keep = log_odds > KEEP_LOG_ODDS
         found.append((i[keep], k[keep], (log_odds - evidence)[keep], log_odds[keep]))
     if not found:

@@ -15,6 +15,7 @@ import numpy as np
 
 from vtrack_batch.matching.colour import Paint, learned_noise, opponent
 from vtrack_batch.matching.decision import assign
+from vtrack_batch.matching.match import MOVING_MPS
 from vtrack_batch.matching.params import ColourParams, MatchingParams
 from vtrack_batch.tracking.beliefs import Graph, link_gains
 from vtrack_batch.tracking.edges import Links, gated_links, local_density, pair_links
@@ -85,7 +86,10 @@ def _relearned(scene: Scene, chains: Chains, sure: float) -> Scene:
     rgb, assumed = scene.s.rgb, scene.matching.colour
     if rgb is None or assumed.first_guess == 1:
         return _repainted(scene, assumed)
-    i = np.flatnonzero((chains.after >= 0) & (chains.probability > sure))
+    s, after = scene.s, chains.after
+    # what stands looks more alike from frame to frame than what drives
+    moved = np.hypot(*(s.xy[after] - s.xy).T) > MOVING_MPS * np.abs(s.t[after] - s.t)
+    i = np.flatnonzero((after >= 0) & (chains.probability > sure) & moved)
     return _repainted(scene, learned_noise(rgb[i], rgb[chains.after[i]], assumed))
 
 

@@ -11,6 +11,9 @@ class ProposalParams(Params):
     """How zones are proposed where none are drawn."""
 
     min_trip_m: float = Field(15.0, gt=0, description="net way a vehicle must go before its ends count")
+    steady_share: float = Field(
+        0.5, gt=0, description="a platform is over one place if its view moves by at most this share of its size"
+    )
     link_m: float = Field(20.0, gt=0, description="ends closer than this along the border of the view belong together")
     min_vehicles: int = Field(2, ge=1, description="fewest ends that make a zone")
     min_share: float = Field(0.01, ge=0, lt=1, description="smallest share of all ends that makes a zone")

@@ -5,7 +5,7 @@ sighting lies up to one frame interval inside it. Border points are put on a 2 m
 within ``link_m`` are cores, cores within ``link_m`` of each other one cluster (DBSCAN: Ester et al. 1996, on counted
 cells, so that a day of traffic costs no more than an hour). Each cluster becomes a zone, the hull of its ends with a
 margin. Where most paths between different zones meet in one place, all zones are arms of one junction. Zones are named
-by their compass bearing from the junction, or else from the middle of the view.
+by their compass bearing from the junction, or else from the middle of the view. A platform that passes by gets none.
 """
 
 from __future__ import annotations
@@ -109,7 +109,9 @@ def compass_names(centres: list[Point], middle: Point) -> list[str]:
 def _ends(trajectories: pd.DataFrame, paths: Paths, views: Mapping[str, Views], rules: ProposalParams) -> Ends:
     first, last = paths.ends
     net_m = np.hypot(paths.x_m[last] - paths.x_m[first], paths.y_m[last] - paths.y_m[first])
-    far = net_m >= rules.min_trip_m
+    steady = [name for name, view in views.items() if _is_steady(view, rules)] if views else trajectories["sequence"]
+    at_one_place = trajectories["sequence"].isin(steady).to_numpy(bool)
+    far = (net_m >= rules.min_trip_m) & at_one_place[paths.vehicle[first]]
     parts = []
     for points, inner, column, reason in (
         (first[far], 1, "start_reason", "entered_view"),
@@ -123,6 +125,15 @@ def _ends(trajectories: pd.DataFrame, paths: Paths, views: Mapping[str, Views], 
         border = _border_points(seen, outward, _footprints(sequence, paths.t_us[points], views), rules)
         parts.append(Ends(paths.vehicle[points], np.full(len(points), inner == 1), seen, border))
     return Ends(*(np.concatenate([getattr(part, name) for part in parts]) for name in Ends.__dataclass_fields__))
+
+
+def _is_steady(view: Views, rules: ProposalParams) -> bool:
+    """Return whether the platform stayed over one place: the border of a view that passes by is nobody's way in."""
+    if len(view) == 0:
+        return False
+    drift_m = np.hypot(*np.ptp(view.corners_m.mean(axis=1), axis=0))
+    size_m = np.sqrt(MultiPoint(view.corners_m[0]).convex_hull.area)
+    return bool(drift_m <= rules.steady_share * size_m)
 
 
 def _footprints(sequence: np.ndarray, t_us: Ints, views: Mapping[str, Views]) -> Floats:
