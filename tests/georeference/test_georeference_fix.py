@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from vtrack_batch.errors import ConfigError
 from vtrack_batch.georeference.fix import WorldFile, find_fix, scale_at
-from vtrack_batch.georeference.geotags import GeoTags
+from vtrack_batch.model.geotags import GeoTags
 from vtrack_batch.georeference.params import GeoreferenceParams
 from vtrack_batch.model import homography
 

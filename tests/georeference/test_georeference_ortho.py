@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vtrack_batch.errors import UnusableData
-from vtrack_batch.georeference.ground_grid import GroundGrid
+from vtrack_batch.model.ground_grid import GroundGrid
 from vtrack_batch.georeference.ortho import orthorectify
 from vtrack_batch.model import homography
 

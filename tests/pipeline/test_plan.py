@@ -20,10 +20,10 @@ def frames(seconds: list[float], sequence: str = "a/x", date: str = "2026-05-17"
     return pd.DataFrame(
         {
             "frame_id": [f"id{name}" for name in names],
-            "name": names,
             "path": names,
             "t_utc": times,
             "sha256": [f"hash of {name}" for name in names],
+            "beside": "",
             "sequence": sequence,
             "date": date,
         }
@@ -32,7 +32,7 @@ def frames(seconds: list[float], sequence: str = "a/x", date: str = "2026-05-17"
 
 def plan(rows: pd.DataFrame, **sections: dict[str, object]) -> Plan:
     survey = Survey.model_validate({"execution": {"unit_s": 60.0, "halo_s": 10.0}, **sections})
-    return make_plan(rows, survey, zones_text=None, beside={})
+    return make_plan(rows, survey, zones_text=None)
 
 
 def keys(made: Plan) -> dict[str, str]:
@@ -50,7 +50,7 @@ TIMES = [float(s) for s in np.arange(0, 300, 2.5)]
 def test_units_are_cut_by_the_clock_and_hold_every_frame_once() -> None:
     units = cut_units(frames([57.0, 59.0, 61.0, 130.0]), unit_s=60.0, halo_s=3.0)
     assert [len(unit.frames) for unit in units] == [2, 1, 1]
-    assert [[ref.name[-11:-4] for ref in unit.halo] for unit in units] == [["00061.0"], ["00059.0"], []] or [
+    assert [[ref.path[-11:-4] for ref in unit.halo] for unit in units] == [["00061.0"], ["00059.0"], []] or [
         len(unit.halo) for unit in units
     ] == [1, 1, 0]
 

@@ -11,7 +11,7 @@ from rasterio.transform import Affine
 
 from vtrack_batch.errors import ConfigError, UnusableFrame
 from vtrack_batch.georeference.fix import find_fix
-from vtrack_batch.georeference.ground_grid import GroundGrid
+from vtrack_batch.model.ground_grid import GroundGrid
 from vtrack_batch.georeference.params import GeoreferenceParams
 from vtrack_batch.model import homography
 from vtrack_batch.storage.geotiff import merge_geotiffs, read_geotags, write_geotiff

@@ -15,7 +15,7 @@ from vtrack_batch.background.exposure import Exposure, expose, fit_exposure
 from vtrack_batch.background.mode import replace_busy, road_nearby
 from vtrack_batch.background.params import BackgroundParams
 from vtrack_batch.background.ranks import take_ranks
-from vtrack_batch.background.shadow import Shadows, darkened_ratios, learn_direction, learn_ratio
+from vtrack_batch.background.shadow import Band, Shadows, darkened_ratios, learn_direction, learn_ratio, widest_band
 from vtrack_batch.background.subtract import Difference, subtract
 
 _STRIP_ROWS = 32
@@ -257,7 +257,7 @@ def _shadows(
     chosen = np.unique(np.linspace(0, len(samples) - 1, _SHADOW_SAMPLES).round().astype(int))
     ground = np.dstack([pixels, tolerance])
 
-    def differences(band: tuple[float, float]) -> list[Difference]:
+    def differences(band: Band) -> list[Difference]:
         return [
             subtract(
                 samples[i].pixels,
@@ -270,8 +270,8 @@ def _shadows(
             for i in chosen
         ]
 
-    found = differences((params.shadow_ratio_min, params.shadow_ratio_max))
-    ratios = [darkened_ratios(samples[i].pixels, found[n]) for n, i in enumerate(chosen)]
+    found = differences(widest_band(params.shadow_ratio_min, params.shadow_ratio_max))
+    ratios = [darkened_ratios(samples[i].pixels, found[n], params) for n, i in enumerate(chosen)]
     shadows = Shadows(learn_ratio(np.concatenate(ratios)))
     if shadows.ratio is None:
         return shadows

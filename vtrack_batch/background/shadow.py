@@ -1,6 +1,6 @@
 """What cast shadows of moving things look like here: how dark, and on which side of the thing they lie.
 
-Source: a cast shadow scales all channels alike (Horprasert et al. 1999), so the ratios of darkened pixels pile up at
+Source: a cast shadow scales the levels of the ground (Horprasert et al. 1999), so the ratios of darkened pixels pile up at
 one value where the sun shines and nowhere in particular where it does not.
 """
 
@@ -13,52 +13,71 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vtrack_batch.background.exposure import GAIN_SHIFT
+from vtrack_batch.background.params import BackgroundParams
 from vtrack_batch.background.subtract import OBJECT, SHADOW, Difference
 
 _BIN = 0.02
 _PEAK_HALF_WIDTH = 0.06
 _PEAK_SHARE = 0.42
 _DARKER, _BRIGHTER = 0.11, 0.14
+_TINT = 0.15
 _REACH_PX = 12
 _LEAST_DIRECTION = 0.15
 _FEWEST_PIXELS = 300
 
 
+Band = NDArray[np.float64]
+"""(3, 2): lowest and highest ratio of a pixel in cast shadow, per channel."""
+
+
 @dataclass(frozen=True)
 class Shadows:
-    """``ratio`` = level in shadow / level in light; ``direction`` = unit vector in reference px, thing to shadow."""
+    """``ratio`` = level in shadow / level in light, per channel; ``direction`` = unit vector in reference px from a
+    thing to its shadow. None = not found.
+    """
 
-    ratio: float | None = None
+    ratio: tuple[float, float, float] | None = None
     direction: tuple[float, float] | None = None
 
     @property
-    def band(self) -> tuple[float, float]:
-        """Lowest and highest ratio of a pixel in cast shadow; (0, 0) where none are cast."""
-        return (self.ratio - _DARKER, self.ratio + _BRIGHTER) if self.ratio is not None else (0.0, 0.0)
+    def band(self) -> Band:
+        """What counts as shadow; empty where none are cast."""
+        if self.ratio is None:
+            return np.zeros((3, 2))
+        return np.array([[ratio - _DARKER, ratio + _BRIGHTER] for ratio in self.ratio])
 
 
-def learn_ratio(ratios: NDArray[np.float64]) -> float | None:
-    """Return the ratio at which darkened pixels pile up, from *ratios* (n,) of mean levels; None without a peak."""
+def widest_band(lowest: float, highest: float) -> Band:
+    """Return the band for a mean ratio of *lowest* to *highest*: the sky lends shadows some blue and takes some red."""
+    return np.tile([lowest - _TINT, highest + _TINT], (3, 1))
+
+
+def learn_ratio(ratios: NDArray[np.float64]) -> tuple[float, float, float] | None:
+    """Return the ratio per channel at which darkened pixels (n, 3) pile up; None without a peak."""
     if len(ratios) < _FEWEST_PIXELS:
         return None
-    low, high = float(ratios.min()), float(ratios.max())
-    counts, edges = np.histogram(ratios, np.arange(low, high + _BIN, _BIN))
+    mean = ratios.mean(axis=1)
+    counts, edges = np.histogram(mean, np.arange(float(mean.min()), float(mean.max()) + _BIN, _BIN))
     if len(counts) < 5:
         return None
-    smooth = np.convolve(counts, np.ones(3) / 3, "same")
-    peak = float(edges[int(np.argmax(smooth))] + _BIN / 2)
-    share = float((np.abs(ratios - peak) <= _PEAK_HALF_WIDTH).mean())
-    return peak if share >= _PEAK_SHARE else None
+    peak = float(edges[int(np.argmax(np.convolve(counts, np.ones(3) / 3, "same")))] + _BIN / 2)
+    near = np.abs(mean - peak) <= _PEAK_HALF_WIDTH
+    if near.mean() < _PEAK_SHARE:
+        return None
+    red, green, blue = np.median(ratios[near], axis=0)
+    return float(red), float(green), float(blue)
 
 
-def darkened_ratios(frame: NDArray[np.uint8], difference: Difference) -> NDArray[np.float64]:
-    """Return the mean ratio (n,) of the frame to the ground at the pixels classed as shadow."""
+def darkened_ratios(frame: NDArray[np.uint8], difference: Difference, params: BackgroundParams) -> NDArray[np.float64]:
+    """Return the ratios (n, 3) of the frame to the ground at the pixels classed as shadow."""
     rows, columns = np.nonzero(difference.classes == SHADOW)
     exposure = difference.exposure
     mapped = np.stack([exposure.levels[k][frame[rows, columns, k]] for k in range(3)], axis=1)
-    gain = exposure.gain_map(*frame.shape[:2])[rows >> 3, columns >> 3]
-    ground = difference.ground[rows, columns, :3].astype(float)
-    return np.asarray((mapped.sum(axis=1) * gain + 6.0) / (ground.sum(axis=1) + 6.0), float)
+    gain = exposure.gain_map(*frame.shape[:2])[rows >> GAIN_SHIFT, columns >> GAIN_SHIFT]
+    ratios = (mapped * gain[:, None] + 2.0) / (difference.ground[rows, columns, :3] + 2.0)
+    mean = ratios.mean(axis=1)
+    return np.asarray(ratios[(mean >= params.shadow_ratio_min) & (mean <= params.shadow_ratio_max)], float)
 
 
 def learn_direction(

@@ -45,13 +45,13 @@ def subtract(
     frame_to_ground_px: NDArray[np.float64],
     *,
     threshold: float,
-    shadow_band: tuple[float, float],
+    shadow_band: NDArray[np.float64],
     tile_px: float,
 ) -> Difference:
     """Compare *frame* (H, W, 3) with *ground* (h, w, 4) uint8: colour and tolerance, tolerance 255 = unseen.
 
-    *threshold* in grey levels gives half evidence; *shadow_band* = lowest and highest ratio of a cast shadow, (0, 0) =
-    no shadows are known here; *tile_px* = distance of the nodes of the exposure's gain.
+    *threshold* in grey levels gives half evidence; *shadow_band* (3, 2) = lowest and highest ratio of a cast
+    shadow per channel; *tile_px* = distance of the nodes of the exposure's gain.
     """
     height, width = frame.shape[:2]
     seen = cv2.warpPerspective(
@@ -68,13 +68,13 @@ def subtract(
     exposure = fit_exposure(picture, target, points[:, :, 3] < _UNSEEN, tile_px=tile_px / step)
     evidence, classes = np.empty((height, width), np.uint8), np.empty((height, width), np.uint8)
     _classify(
-        frame, seen, exposure.levels, exposure.gain_map(height, width), threshold, *shadow_band, evidence, classes
+        frame, seen, exposure.levels, exposure.gain_map(height, width), threshold, shadow_band, evidence, classes
     )
     return Difference(evidence, classes, exposure, seen)
 
 
 @njit(cache=True, nogil=True)
-def _classify(frame, ground, levels, gain, threshold, shadow_low, shadow_high, evidence, classes):  # type: ignore[no-untyped-def]
+def _classify(frame, ground, levels, gain, threshold, shadow, evidence, classes):  # type: ignore[no-untyped-def]
     for r in range(frame.shape[0]):
         for c in range(frame.shape[1]):
             tolerance = float(ground[r, c, 3])
@@ -83,12 +83,12 @@ def _classify(frame, ground, levels, gain, threshold, shadow_low, shadow_high, e
                 classes[r, c] = UNSEEN
                 continue
             g = gain[r >> GAIN_SHIFT, c >> GAIN_SHIFT]
-            largest, ratio_low, ratio_high, brightest = 0.0, 9.0, 0.0, 0.0
+            largest, brightest, shaded = 0.0, 0.0, True
             for k in range(3):
                 level, expected = levels[k, frame[r, c, k]] * g, float(ground[r, c, k])
                 largest = max(largest, abs(level - expected))
                 ratio = (level + 2.0) / (expected + 2.0)
-                ratio_low, ratio_high = min(ratio_low, ratio), max(ratio_high, ratio)
+                shaded = shaded and shadow[k, 0] <= ratio <= shadow[k, 1]
                 brightest = max(brightest, expected)
             strength = (largest - tolerance) / threshold - 0.5
             if strength <= 0.0:
@@ -96,5 +96,4 @@ def _classify(frame, ground, levels, gain, threshold, shadow_low, shadow_high, e
                 classes[r, c] = GROUND
                 continue
             evidence[r, c] = int(min(strength, 1.0) * FULL)
-            shaded = ratio_low >= shadow_low and ratio_high <= shadow_high and brightest >= _DARKEST_LEVEL
-            classes[r, c] = SHADOW if shaded else OBJECT
+            classes[r, c] = SHADOW if shaded and brightest >= _DARKEST_LEVEL else OBJECT

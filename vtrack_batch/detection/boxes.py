@@ -22,6 +22,7 @@ Boxes = NDArray[np.float64]
 _HIDDEN = -1000
 _TAKEN = -50
 _MOST_TAKEN = 0.3
+_FALLING_OFF = 0.7
 
 
 def fit_boxes(
@@ -99,8 +100,16 @@ def _best_box(inner, rim, cast, offsets, starts, place, weights, least, best):  
     best[0] = least - 1e-9
     found = False
     for d in range(starts.shape[0]):
+        fullest = 0.0
         for k in range(starts.shape[1]):
-            score = _score(inner, rim, cast, offsets, starts[d, k], place, weights, best[0])
+            inside = _inside(inner, offsets, starts[d, k], place, weights[2])
+            # Sizes ascend: once a box reaches far beyond what is there, larger ones do too.
+            if inside < _FALLING_OFF * fullest:
+                break
+            fullest = max(fullest, inside)
+            if inside + weights[1] <= best[0]:
+                continue
+            score = inside + _around(rim, cast, offsets, starts[d, k], place, weights, best[0] - inside)
             if score > best[0]:
                 best[0], best[1], best[2] = score, d, k
                 found = True
@@ -110,7 +119,16 @@ def _best_box(inner, rim, cast, offsets, starts, place, weights, least, best):  
 
 @njit(cache=True, nogil=True)
 def _score(inner, rim, cast, offsets, starts, place, weights, least):  # type: ignore[no-untyped-def]
-    """Score of one box; -9 as soon as it cannot exceed *least*."""
+    """Score of one box; something below *least* as soon as it cannot exceed it."""
+    inside = _inside(inner, offsets, starts, place, weights[2])
+    if inside + weights[1] <= least:
+        return -9.0
+    return inside + _around(rim, cast, offsets, starts, place, weights, least - inside)
+
+
+@njit(cache=True, nogil=True)
+def _inside(inner, offsets, starts, place, visible_share):  # type: ignore[no-untyped-def]
+    """Mean evidence inside the box; -9 where too little of it is visible."""
     total, visible = 0, 0
     first, last = starts[INSIDE], starts[INSIDE + 1]
     for n in range(first, last):
@@ -118,18 +136,21 @@ def _score(inner, rim, cast, offsets, starts, place, weights, least):  # type: i
         if value != _HIDDEN:
             visible += 1
             total += value
-    if visible < weights[2] * (last - first):
+    if visible < visible_share * (last - first):
         return -9.0
-    score = total / (FULL * visible)
-    bonus = weights[1] if starts[CAST + 1] > starts[CAST] else 0.0
-    if score + bonus <= least:
-        return -9.0
+    return total / (FULL * visible)
+
+
+@njit(cache=True, nogil=True)
+def _around(rim, cast, offsets, starts, place, weights, least):  # type: ignore[no-untyped-def]
+    """What the rim takes from the score and the cast shadow adds; stops where that cannot exceed *least*."""
+    score = 0.0
     for part in range(FRONT, RIGHT + 1):
         busy = 0
         for n in range(starts[part], starts[part + 1]):
             busy += rim[place + offsets[n]]
         score -= weights[0] * busy / (4 * FULL * (starts[part + 1] - starts[part]))
-    if bonus == 0.0 or score + bonus <= least:
+    if starts[CAST + 1] == starts[CAST] or score + weights[1] <= least:
         return score
     shaded = 0
     for n in range(starts[CAST], starts[CAST + 1]):

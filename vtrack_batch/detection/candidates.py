@@ -19,6 +19,10 @@ from vtrack_batch.model import homography
 from vtrack_batch.model.flags import DetectionFlag
 
 
+_CORE = 0.5
+"""Least mean evidence around the middle of a box that is tried."""
+
+
 @dataclass(frozen=True, eq=False)
 class Candidates:
     """Candidates of one frame, one element each, in the frame's pixels; sorted by row, then column.
@@ -134,7 +138,7 @@ def _seeds(difference: Difference, px_per_m: tuple[float, float], params: Detect
     step_r, step_c = (max(1, round(params.seed_step_m * scale)) for scale in (px_per_m[1], px_per_m[0]))
     window = (2 * round(0.6 * px_per_m[0]) + 1, 2 * round(0.6 * px_per_m[1]) + 1)
     around = cv2.blur(difference.evidence, window)[::step_r, ::step_c]
-    rows, columns = np.nonzero((around >= 0.5 * params.weak_score * FULL) & (difference.classes[::step_r, ::step_c] != UNSEEN))
+    rows, columns = np.nonzero((around >= _CORE * FULL) & (difference.classes[::step_r, ::step_c] != UNSEEN))
     return np.stack([rows * step_r, columns * step_c], axis=1).astype(np.int32)
 
 

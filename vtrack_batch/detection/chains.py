@@ -27,35 +27,40 @@ class Sightings:
     colour: Floats
 
 
-def find_chains(
-    frames: Sequence[Sightings], times_s: Floats, params: DetectionParams
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return chains (m, links) of row numbers, and the frames (m, links) they lie in.
+@dataclass(frozen=True, eq=False)
+class Chains:
+    """Vehicles at several frames: ``frames`` and ``rows`` (m, links) say which sightings, ``lines`` (m, links, 2) where."""
 
-    A chain has ``chain_links`` sightings at successive frames (at every s-th, where frames come faster than
-    ``chain_interval_s``), with a speed above ``chain_speed_mps`` along the axis of every box, nearly constant.
+    frames: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    lines: Floats
+
+
+def find_chains(
+    frames: Sequence[Sightings], times_s: Floats, *, links: int, least_mps: float, params: DetectionParams
+) -> Chains:
+    """Return all chains of *links* sightings at successive frames, faster than *least_mps* all the way.
+
+    Where frames come faster than ``chain_interval_s``, every s-th frame counts as successive. The speed is nearly
+    constant, along the axis of every box, and colours agree.
     """
-    links = params.chain_links
     order = np.argsort(times_s, kind="stable")
     step = _frame_step(np.diff(times_s[order]), params.chain_interval_s)
-    found: list[NDArray[np.int64]] = []
-    where: list[NDArray[np.int64]] = []
     limits = np.array(
-        [params.chain_speed_mps, params.fastest_mps, params.chain_miss_m, params.chain_accel_mps2, params.chain_colour]
+        [least_mps, params.fastest_mps, params.chain_miss_m, params.chain_accel_mps2, params.chain_colour]
     )
+    where, which = [np.zeros((0, links), np.int64)], [np.zeros((0, links), np.int64)]
+    lines = [np.zeros((0, links, 2))]
     for first in range(len(order) - (links - 1) * step):
         members = order[first + step * np.arange(links)]
         parts = [frames[i] for i in members]
-        if min(len(part.xy) for part in parts) == 0:
-            continue
         starts = np.cumsum([0, *(len(part.xy) for part in parts)])
         xy, axis, colour = (np.concatenate([getattr(part, name) for part in parts]) for name in ("xy", "axis", "colour"))
-        chains = _chains(xy, axis, colour, starts, times_s[members], limits)
-        found.append(chains)
-        where.append(np.broadcast_to(members, chains.shape))
-    if not found:
-        return np.zeros((0, links), np.int64), np.zeros((0, links), np.int64)
-    return np.concatenate(found), np.concatenate(where)
+        rows = _chains(xy, axis, colour, starts, times_s[members], limits)
+        where.append(np.broadcast_to(members, rows.shape))
+        which.append(rows)
+        lines.append(xy[rows + starts[:-1]])
+    return Chains(np.concatenate(where), np.concatenate(which), np.concatenate(lines))
 
 
 def _frame_step(intervals_s: Floats, wanted_s: float) -> int:

@@ -16,7 +16,7 @@ class DetectionParams(Params):
     sizes_m: tuple[tuple[float, float], ...] = Field(
         ((4.4, 1.8), (5.6, 2.1), (7.0, 2.4), (8.5, 2.5), (10.2, 2.5), (12.2, 2.5), (14.5, 2.5), (17.0, 2.6)),
         min_length=1,
-        description="length and width of the boxes that are fitted, the commonest first",
+        description="length and width of the boxes that are fitted, ascending",
     )
     directions: int = Field(12, ge=2, le=60, description="directions of boxes that are tried, evenly spread over 180 degrees")
     seed_step_m: float = Field(0.6, gt=0, description="distance of the places at which boxes are tried")
@@ -32,10 +32,12 @@ class DetectionParams(Params):
     chain_links: int = Field(4, ge=3, description="sightings in a chain that teaches the road")
     chain_interval_s: float = Field(0.5, gt=0, description="least time between sightings of a chain")
     chain_speed_mps: float = Field(3.0, gt=0, description="least speed of a chain")
+    slow_chain_links: int = Field(6, ge=3, description="sightings in a chain of slow vehicles that teaches the road")
+    slow_chain_speed_mps: float = Field(1.5, gt=0, description="least speed of a slow chain: roofs seem to drift slower")
     fastest_mps: float = Field(60.0, gt=0, description="highest speed of a chain")
     chain_miss_m: float = Field(1.0, gt=0, description="most that a sighting may miss its chain by, sideways")
     chain_accel_mps2: float = Field(2.5, ge=0, description="acceleration that a chain may show")
     chain_colour: float = Field(60.0, gt=0, description="largest difference of colour within a chain, in levels")
     fewest_chains: int = Field(5, ge=1, description="chains without which a road is not believed")
-    road_reach_m: float = Field(2.5, gt=0, description="how far the road reaches to both sides of a chain")
+    road_reach_m: float = Field(3.0, gt=0, description="how far the road reaches to both sides of a chain")
     road_ahead_m: float = Field(12.0, ge=0, description="how far the road goes on straight before and after a chain")

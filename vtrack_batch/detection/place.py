@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vtrack_batch.detection.candidates import Candidates
-from vtrack_batch.detection.chains import Sightings, find_chains
+from vtrack_batch.detection.chains import Chains, Sightings, find_chains
 from vtrack_batch.detection.params import DetectionParams
 from vtrack_batch.model import homography
 from vtrack_batch.model.homography import Array
 
 _CELL_M = 0.5
+_MANY_CHAINS = 40
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,11 +62,13 @@ def learn_place(
     """
     strict = [np.nonzero(found.score >= params.chain_score)[0] for found in candidates]
     seen = [_sightings(f.take(rows), pose, metres_per_px) for f, rows, pose in zip(candidates, strict, poses, strict=True)]
-    chains, frames = find_chains(seen, np.asarray(times_s, float), params)
-    chained = tuple(strict[i][np.unique(chains[frames == i])] for i in range(len(seen)))
-    lines = [np.array([seen[f].xy[n] for f, n in zip(frames[m], chains[m], strict=True)]) for m in range(len(chains))]
-    learned = len(lines) >= params.fewest_chains
-    road, origin = _draw(lines, params) if learned else (np.zeros((1, 1), np.bool_), np.zeros(2))
+    times = np.asarray(times_s, float)
+    kinds = ((params.chain_links, params.chain_speed_mps), (params.slow_chain_links, params.slow_chain_speed_mps))
+    chains = [find_chains(seen, times, links=links, least_mps=least, params=params) for links, least in kinds]
+    members = [np.unique(np.concatenate([kind.rows[kind.frames == i] for kind in chains])) for i in range(len(seen))]
+    chained = tuple(rows[chosen] for rows, chosen in zip(strict, members, strict=True))
+    learned = sum(len(kind.rows) for kind in chains) >= params.fewest_chains
+    road, origin = _draw(chains, len(seen), params) if learned else (np.zeros((1, 1), np.bool_), np.zeros(2))
     return Place(road, origin, metres_per_px, learned, chained)
 
 
@@ -94,25 +97,30 @@ def _sightings(candidates: Candidates, pose: Array, metres_per_px: tuple[float, 
     return Sightings(homography.apply(pose, centre) * metres_per_px, axis, colour)
 
 
-def _draw(lines: Sequence[Array], params: DetectionParams) -> tuple[NDArray[np.bool_], Array]:
-    """Return the road as cells, and the corner of the first: all chains, as wide as a lane and a bit."""
-    everything = np.concatenate(lines)
-    margin = 2 * params.road_reach_m + params.road_ahead_m
-    origin = everything.min(axis=0) - margin
-    extent = np.ceil((everything.max(axis=0) + margin - origin) / _CELL_M).astype(int)
+def _draw(kinds: Sequence[Chains], frames: int, params: DetectionParams) -> tuple[NDArray[np.bool_], Array]:
+    """Return the road as cells, and the corner of the first: all chains, as wide as a lane and a bit.
+
+    Where there are many chains, two that begin at different frames are needed.
+    """
+    lines = [_extended(kind.lines, params.road_ahead_m) for kind in kinds]
+    everything = np.concatenate([line.reshape(-1, 2) for line in lines])
+    origin = everything.min(axis=0) - 2 * params.road_reach_m
+    extent = np.ceil((everything.max(axis=0) + 2 * params.road_reach_m - origin) / _CELL_M).astype(int)
+    width = max(1, round(2 * params.road_reach_m / _CELL_M))
     count = np.zeros((extent[1], extent[0]), np.uint8)
-    for line in lines:
+    for frame in range(frames):
         drawn = np.zeros_like(count)
-        points = np.rint((_extended(line, params.road_ahead_m) - origin) / _CELL_M - 0.5).astype(np.int32)
-        cv2.polylines(drawn, [points], False, 1, thickness=max(1, round(2 * params.road_reach_m / _CELL_M)))
+        for kind, line in zip(kinds, lines, strict=True):
+            points = np.rint((line[kind.frames[:, 0] == frame] - origin) / _CELL_M - 0.5).astype(np.int32)
+            cv2.polylines(drawn, list(points), False, 1, thickness=width)
         count = cv2.add(count, drawn)
-    needed = 1 if len(lines) < 8 * params.fewest_chains else 2
+    needed = 1 if sum(map(len, lines)) < _MANY_CHAINS else 2
     return count >= needed, origin
 
 
-def _extended(line: Array, by_m: float) -> Array:
-    """Return *line* (n, 2) with a straight piece of *by_m* before and after it."""
-    first, last = line[0] - line[1], line[-1] - line[-2]
-    before = line[0] + first * by_m / np.linalg.norm(first)
-    after = line[-1] + last * by_m / np.linalg.norm(last)
-    return np.concatenate([before[None], line, after[None]])
+def _extended(lines: Array, by_m: float) -> Array:
+    """Return *lines* (m, n, 2) with a straight piece of *by_m* before and after each."""
+    first, last = lines[:, 0] - lines[:, 1], lines[:, -1] - lines[:, -2]
+    before = lines[:, 0] + first * by_m / np.linalg.norm(first, axis=1)[:, None]
+    after = lines[:, -1] + last * by_m / np.linalg.norm(last, axis=1)[:, None]
+    return np.concatenate([before[:, None], lines, after[:, None]], axis=1)

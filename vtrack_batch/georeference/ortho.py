@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vtrack_batch.georeference.ground_grid import GroundGrid
+from vtrack_batch.model.ground_grid import GroundGrid
 from vtrack_batch.model import homography
 
 _STRIP_ROWS = 1024

@@ -37,19 +37,55 @@ def one_to_one(edges: Edges, labels: Labels) -> Mask:
 def assign(i: Index, k: Index, gain: Array) -> Mask:
     """Pick pairs (i, k) so that none is used twice and the sum of *gain* (e,) is greatest; gains <= 0 are never picked.
 
-    Sparse Jonker-Volgenant (scipy); every row also has a column of its own, at gain 0, that means no match.
+    A pair worth at least the best other pair of i and the best other pair of k together is in a best set, whatever the
+    rest: such pairs are fixed first, which leaves few. Those are solved by sparse Jonker-Volgenant (scipy).
     """
     picked = np.zeros(len(gain), bool)
-    useful = np.flatnonzero(gain > 0)
-    if len(useful) == 0:
-        return picked
-    rows, row = np.unique(i[useful], return_inverse=True)
-    cols, col = np.unique(k[useful], return_inverse=True)
-    n, m = len(rows), len(cols)
-    top = float(gain[useful].max()) + 1.0  # keeps all costs above zero: scipy takes zero for "no edge"
+    left = np.flatnonzero(gain > 0)
+    while len(left):
+        row, col, worth = _codes(i[left]), _codes(k[left]), gain[left]
+        fixed = worth >= _best_other(row, worth) + _best_other(col, worth)
+        # of equal claims on one end only the first is taken
+        claims = np.flatnonzero(fixed)
+        claims = claims[_first_of_each(row[claims])]
+        claims = claims[_first_of_each(col[claims])]
+        if not len(claims):
+            picked[left[_solved(row, col, worth)]] = True
+            break
+        picked[left[claims]] = True
+        left = left[~(np.isin(row, row[claims]) | np.isin(col, col[claims]))]
+    return picked
+
+
+def _codes(values: Index) -> Index:
+    return np.unique(values, return_inverse=True)[1]
+
+
+def _first_of_each(values: Index) -> Index:
+    """Return the ascending positions at which each value occurs first."""
+    return np.sort(np.unique(values, return_index=True)[1])
+
+
+def _best_other(end: Index, worth: Array) -> Array:
+    """Return for every pair the greatest worth of the other pairs at its *end*, 0 where there is none."""
+    order = np.lexsort((-worth, end))
+    start = np.flatnonzero(np.r_[True, np.diff(end[order]) != 0])
+    size = np.diff(np.r_[start, len(end)])
+    best, second = worth[order[start]], np.zeros(len(start))
+    several = size > 1
+    second[several] = worth[order[start[several] + 1]]
+    is_best = np.zeros(len(end), bool)
+    is_best[order[start]] = True
+    return np.where(is_best, second[end], best[end])
+
+
+def _solved(row: Index, col: Index, worth: Array) -> Index:
+    """Return the positions of the best one-to-one set; every row also has a column of its own, at 0, for no match."""
+    n, m = int(row.max()) + 1, int(col.max()) + 1
+    top = float(worth.max()) + 1.0  # keeps all costs above zero: scipy takes zero for "no edge"
     cost = coo_array(
         (
-            np.concatenate([top - gain[useful], np.full(n, top)]),
+            np.concatenate([top - worth, np.full(n, top)]),
             (np.concatenate([row, np.arange(n)]), np.concatenate([col, m + np.arange(n)])),
         ),
         shape=(n, m + n),
@@ -57,8 +93,7 @@ def assign(i: Index, k: Index, gain: Array) -> Mask:
     at_row, at_col = min_weight_full_bipartite_matching(cost)
     partner = np.full(n, -1)
     partner[at_row] = at_col
-    picked[useful] = partner[row] == col
-    return picked
+    return np.flatnonzero(partner[row] == col)
 
 
 def _best(p: Array, none: Array, owner: Index, partner: Index) -> Mask:

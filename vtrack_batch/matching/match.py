@@ -134,9 +134,7 @@ def displacement_density(edges: Edges, elapsed_s: float, params: MatchingParams)
     return np.asarray(stands + (1 - standing) / (2 * params.reach_m(elapsed_s)) ** 2)
 
 
-def _table(
-    a: Vehicles, b: Vehicles, edges: Edges, labels: Labels, picked: decision.Mask, method: str
-) -> pd.DataFrame:
+def _table(a: Vehicles, b: Vehicles, edges: Edges, labels: Labels, picked: decision.Mask, method: str) -> pd.DataFrame:
     """Write links, then vehicles that disappeared, then those that appeared."""
     i, k = edges.i[picked], edges.k[picked]
     gone = np.setdiff1d(np.arange(len(a)), i)

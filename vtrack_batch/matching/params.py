@@ -57,7 +57,6 @@ class ColourParams(Params):
     )
     outlier_share: float = Field(0.05, gt=0, lt=1, description="share of sightings in shadow, glare or badly cut out")
 
-
     def wide(self) -> ColourParams:
         """Return the cautious spreads with which learning them begins."""
         return self.model_copy(

@@ -80,13 +80,13 @@ def _median_interval_s(files: pd.DataFrame) -> float | None:
 def _decode_sample(survey: Survey, files: pd.DataFrame) -> tuple[list[tuple[int, int]], list[str]]:
     chosen = np.unique(np.linspace(0, len(files) - 1, min(SAMPLE_FRAMES, len(files))).round().astype(int))
     sizes, refused = [], []
-    for name in files["name"].iloc[chosen]:
+    for path in files["path"].iloc[chosen]:
         try:
-            data = read_bytes(survey.resolve(survey.archive.root), name)
+            data = read_bytes(survey.resolve(survey.archive.root), path)
             frame = decode(data, max_pixels=survey.archive.max_pixels)
             sizes.append((frame.width_px, frame.height_px))
         except UnusableFrame as problem:
-            refused.append(f"{name.encode('unicode_escape').decode()}: {problem}")
+            refused.append(f"{path}: {problem}")
     return sizes, refused
 
 
@@ -96,9 +96,9 @@ def _ground(
     if not sizes:
         return None
     root = survey.resolve(survey.archive.root)
-    ref = FrameRef("", str(first["name"]), str(first["path"]), np.datetime64(0, "us"), "")
+    ref = FrameRef("", str(first["path"]), np.datetime64(0, "us"), "")
     try:
-        fix = fix_ground(survey, root, ref, read_bytes(root, ref.name), *sizes[0])
+        fix = fix_ground(survey, root, ref, read_bytes(root, ref.path), *sizes[0])
     except VtrackError as problem:
         problems.append(f"ground: {problem}")
         return None

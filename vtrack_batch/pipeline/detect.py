@@ -21,9 +21,9 @@ from vtrack_batch.detection.ground import measure_on_ground
 from vtrack_batch.detection.place import learn_place, select
 from vtrack_batch.errors import UnusableFrame
 from vtrack_batch.georeference.fix import GroundFix, scale_at
-from vtrack_batch.georeference.ground_grid import GroundGrid
 from vtrack_batch.georeference.ortho import orthorectify
 from vtrack_batch.model import homography
+from vtrack_batch.model.ground_grid import GroundGrid
 from vtrack_batch.model.homography import Array
 from vtrack_batch.model.ids import detection_id
 from vtrack_batch.model.tables import TABLES
@@ -86,7 +86,7 @@ class Reader:
 
     def data(self, ref: FrameRef) -> bytes:
         """Return the bytes of the file."""
-        return read_bytes(self.root, ref.name)
+        return read_bytes(self.root, ref.path)
 
     def pixels(self, ref: FrameRef, expected: tuple[int, int] | None = None) -> NDArray[np.uint8] | None:
         """Return the pixels (H, W, 3), or None; *expected* = (width, height) that the frame must have."""
@@ -126,7 +126,7 @@ class Block:
 
 
 def _find_block(unit: Unit, reader: Reader, context: Context) -> Block | None:
-    """Choose the unit's middle readable frame as reference and join it to the sequence's site frame."""
+    """Choose the unit's middle readable frame as reference; without tags of its own it is joined to the site frame."""
     site = _first_readable(unit.site, reader)
     middle = len(unit.frames) // 2
     by_nearness = sorted(range(len(unit.frames)), key=lambda i: (abs(i - middle), i))
@@ -134,10 +134,9 @@ def _find_block(unit: Unit, reader: Reader, context: Context) -> Block | None:
     if site is None or found is None:
         return None
     (site_ref, site_pixels), (ref, pixels) = site, found
-    height, width = site_pixels.shape[:2]
-    fix = fix_ground(context.survey, context.archive, site_ref, reader.data(site_ref), width, height)
-    if ref.frame_id != site_ref.frame_id:
-        joined = _join(pixels, site_pixels, fix, context.survey)
+    fix = _fix(ref, pixels, reader, context)
+    if fix.method not in ("geotiff", "world_file") and ref.frame_id != site_ref.frame_id:
+        joined = _join(pixels, site_pixels, _fix(site_ref, site_pixels, reader, context), context.survey)
         if joined is None:
             problem = UnusableFrame("not_joined", f"its block's reference {ref.path} does not fit {site_ref.path}")
             for other in unit.frames:
@@ -161,14 +160,25 @@ MIN_REFERENCE_SPREAD = 2.0
 """Standard deviation in grey levels below which a frame shows nothing."""
 
 
+def _fix(ref: FrameRef, pixels: NDArray[np.uint8], reader: Reader, context: Context) -> GroundFix:
+    height, width = pixels.shape[:2]
+    return fix_ground(context.survey, context.archive, ref, reader.data(ref), width, height)
+
+
 def _join(
     pixels: NDArray[np.uint8], site_pixels: NDArray[np.uint8], fix: GroundFix, survey: Survey
 ) -> GroundFix | None:
-    """Return where the block's reference lies on the ground, through the site frame."""
-    pose = register(pixels, prepare_reference(site_pixels, params=survey.registration), params=survey.registration)
+    """Return where the block's reference lies on the ground, through the site frame; None if they do not fit."""
+    params = survey.registration
+    pose = register(pixels, prepare_reference(site_pixels, params=params), params=params)
+    to_site = pose.frame_to_reference
     if not pose.accepted:
-        return None
-    to_ground = homography.normalised(fix.reference_to_ground @ pose.frame_to_reference)
+        # in leaning scenes one direction may hold where the other does not
+        pose = register(site_pixels, prepare_reference(pixels, params=params), params=params)
+        if not pose.accepted:
+            return None
+        to_site = np.asarray(np.linalg.inv(pose.frame_to_reference), np.float64)
+    to_ground = homography.normalised(fix.reference_to_ground @ to_site)
     metres = float(np.mean(fix.gsd_m)) * pose.residual_px
     residual_m = float(np.hypot(fix.residual_m or 0.0, metres))
     return GroundFix(to_ground, fix.method, residual_m, fix.crs, fix.gsd_m)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from vtrack_batch.archive.names import unescape
 from vtrack_batch.config.survey import Survey
 from vtrack_batch.georeference.fix import GroundFix, WorldFile, find_fix
 from vtrack_batch.pipeline.plan import FrameRef
@@ -18,16 +19,17 @@ def fix_ground(survey: Survey, root: Path, ref: FrameRef, data: bytes, width_px:
         from vtrack_batch.storage.geotiff import read_geotags
 
         tags = read_geotags(data)
-    beside = next(iter(world_files(root / ref.name)), None)
+    beside = next(iter(world_files(root, ref.path)), None)
     world_file = WorldFile(beside.name, beside.read_text("ascii", "replace")) if beside else None
     return find_fix(survey.georeference, width_px, height_px, tags=tags, world_file=world_file)
 
 
-def world_files(path: Path) -> list[Path]:
-    """Return the world files beside the frame at *path*: ``.jgw``, ``.jpgw`` or ``.wld`` for ``.jpg``, and so on."""
-    suffix = path.suffix.lstrip(".")
+def world_files(root: Path, path: str) -> list[Path]:
+    """Return the world files beside the frame *path*: ``.jgw``, ``.jpgw`` or ``.wld`` for ``.jpg``, and so on."""
+    frame = root / unescape(path)
+    suffix = frame.suffix.lstrip(".")
     if len(suffix) < 2:
         return []
     endings = [f"{suffix[0]}{suffix[-1]}w", f"{suffix}w", "wld"]
-    candidates = [path.with_suffix(f".{ending}") for ending in endings]
+    candidates = [frame.with_suffix(f".{ending}") for ending in endings]
     return [candidate for candidate in candidates if candidate.is_file()]

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
 
-from vtrack_batch.archive.read import read_bytes
+from vtrack_batch.archive.read import content_hash, read_bytes
 from vtrack_batch.archive.scan import Period, Scan, scan
 from vtrack_batch.archive.sequences import resolve_duplicates, split_sequences
 from vtrack_batch.config.survey import Survey
 from vtrack_batch.errors import UnusableFrame
 from vtrack_batch.model.ids import frame_id
+from vtrack_batch.pipeline.ground import world_files
 from vtrack_batch.storage.hashes import HashStore
 
 
@@ -21,8 +21,9 @@ from vtrack_batch.storage.hashes import HashStore
 class Index:
     """What the archive holds.
 
-    ``frames``: one row per usable file, sorted by sequence and time: frame_id, path (escaped), name (as on disk),
-    platform, sequence, date, t_utc, sha256. ``quarantine``: path, reason, detail of files that are set aside.
+    ``frames``: one row per usable file, sorted by sequence and time: frame_id, path (printable text below the root),
+    platform, sequence, date, t_utc, sha256, beside (hash of its world file, or ""). ``quarantine``: path, reason,
+    detail of the files that are set aside.
     """
 
     root: Path
@@ -38,32 +39,28 @@ def make_index(survey: Survey, hashes: HashStore) -> Index:
     """
     root = survey.resolve(survey.archive.root)
     found = scan_archive(survey)
-    files, quarantine = found.files, [found.quarantine]
     unreadable: list[tuple[str, str, str]] = []
 
-    def hash_of(name: str) -> str | None:
+    def hash_of(path: str) -> str | None:
         try:
-            return hashlib.sha256(read_bytes(root, name)).hexdigest()
+            return content_hash(read_bytes(root, path))
         except UnusableFrame as problem:
-            unreadable.append((name, problem.reason, problem.detail))
+            unreadable.append((path, problem.reason, problem.detail))
             return None
 
-    stats = zip(files["name"], files["size_bytes"].tolist(), files["mtime_ns"].tolist(), strict=True)
-    known = hashes.fill(stats, hash_of)
-    escaped = dict(zip(files["name"], files["path"], strict=True))
-    quarantine.append(
-        pd.DataFrame([(escaped[name], reason, detail) for name, reason, detail in unreadable], columns=_QUARANTINE)
-    )
-    files = files.assign(sha256=files["name"].map(known)).dropna(subset=["sha256"])
+    files = found.files
+    stats = zip(files["path"], files["size_bytes"].tolist(), files["mtime_ns"].tolist(), strict=True)
+    files = files.assign(sha256=files["path"].map(hashes.fill(stats, hash_of))).dropna(subset=["sha256"])
     files, doubles = resolve_duplicates(files)
-    quarantine.append(doubles)
     files = split_sequences(files, max_gap_s=survey.archive.max_gap_s, time_zone=survey.survey.time_zone)
-    frames = files.assign(frame_id=[frame_id(name) for name in files["name"]])
-    frames = frames.sort_values(["sequence", "t_utc", "name"], kind="stable", ignore_index=True)
-    set_aside = pd.concat(
-        [part[_QUARANTINE] for part in quarantine if len(part)] or [pd.DataFrame(columns=_QUARANTINE)]
-    )
+    frames = files.assign(frame_id=[frame_id(path) for path in files["path"]], beside=_world_file_hashes(root, files))
+    frames = frames.sort_values(["sequence", "t_utc", "path"], kind="stable", ignore_index=True)
+    parts = [found.quarantine, pd.DataFrame(unreadable, columns=_QUARANTINE), doubles]
+    set_aside = pd.concat([part[_QUARANTINE] for part in parts if len(part)] or [pd.DataFrame(columns=_QUARANTINE)])
     return Index(root, frames, set_aside.sort_values("path", ignore_index=True), found)
+
+
+_QUARANTINE = ["path", "reason", "detail"]
 
 
 def scan_archive(survey: Survey) -> Scan:
@@ -78,4 +75,11 @@ def scan_archive(survey: Survey) -> Scan:
     )
 
 
-_QUARANTINE = ["path", "reason", "detail"]
+def _world_file_hashes(root: Path, files: pd.DataFrame) -> list[str]:
+    """Return the hash of the world file beside each frame, "" where the first frame of its sequence has none."""
+    leaders = files.groupby("sequence")["path"].first()
+    led = {sequence for sequence, path in leaders.items() if world_files(root, path)}
+    return [
+        "".join(content_hash(file.read_bytes()) for file in world_files(root, path)[:1]) if sequence in led else ""
+        for sequence, path in zip(files["sequence"], files["path"], strict=True)
+    ]

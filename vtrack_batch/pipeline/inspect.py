@@ -12,10 +12,9 @@ from vtrack_batch.archive.decode import decode
 from vtrack_batch.archive.read import read_bytes
 from vtrack_batch.config.survey import Survey
 from vtrack_batch.errors import CannotCreate, ConfigError, UnusableData
-from vtrack_batch.georeference.ground_grid import GroundGrid
 from vtrack_batch.georeference.ortho import orthorectify
 from vtrack_batch.model import homography
-from vtrack_batch.pipeline.index import scan_archive
+from vtrack_batch.model.ground_grid import GroundGrid
 from vtrack_batch.pipeline.parts import matrices_of
 from vtrack_batch.storage.geotiff import write_geotiff
 from vtrack_batch.storage.results import Results, open_results
@@ -61,9 +60,9 @@ def write_ortho(survey: Survey, what: str, to: Path | None) -> Path:
     if pose.empty:
         raise UnusableData(f"{found['path']}: it was not registered ({found['reason']}), so its ground is not known")
     to_ground = (matrices_of("g", pose) @ matrices_of("h", pose))[0]
-    files = scan_archive(survey).files
-    name = files.loc[files["path"] == found["path"], "name"].iloc[0]
-    pixels = decode(read_bytes(survey.resolve(survey.archive.root), name), max_pixels=survey.archive.max_pixels).pixels
+    pixels = decode(
+        read_bytes(survey.resolve(survey.archive.root), found["path"]), max_pixels=survey.archive.max_pixels
+    ).pixels
     corners_m = homography.apply(to_ground, homography.corners(pixels.shape[1], pixels.shape[0]))
     crs = pose["crs"].iloc[0]
     grid = GroundGrid.covering(corners_m, survey.georeference.mosaic_gsd_m, crs=None if pd.isna(crs) else str(crs))

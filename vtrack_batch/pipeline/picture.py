@@ -81,6 +81,6 @@ def _strip(
 def _pixels(ref: FrameRef, context: Context) -> NDArray[np.uint8] | None:
     """Return the frame's pixels; a frame that vanished since it was processed costs its picture only."""
     try:
-        return decode(read_bytes(context.archive, ref.name), max_pixels=context.survey.archive.max_pixels).pixels
+        return decode(read_bytes(context.archive, ref.path), max_pixels=context.survey.archive.max_pixels).pixels
     except UnusableFrame:
         return None

@@ -31,10 +31,11 @@ class FrameRef:
     """A frame without its pixels."""
 
     frame_id: str
-    name: str
     path: str
     t_utc: np.datetime64
     sha256: str
+    beside: str = ""
+    """Hash of the world file beside it, if there is one."""
 
 
 @dataclass(frozen=True)
@@ -86,9 +87,9 @@ class Plan:
         return (*self.detect, *self.track, *self.traffic, *self.picture)
 
 
-def make_plan(frames: pd.DataFrame, survey: Survey, *, zones_text: str | None, beside: Mapping[str, str]) -> Plan:
-    """Return the plan of *survey* for the indexed *frames*; *beside* = path → hash of other files that steps read."""
-    settings = {step: _settings(survey, step, zones_text, beside) for step in STEPS}
+def make_plan(frames: pd.DataFrame, survey: Survey, *, zones_text: str | None) -> Plan:
+    """Return the plan of *survey* for the indexed *frames*."""
+    settings = {step: _settings(survey, step, zones_text) for step in STEPS}
     units = cut_units(frames, unit_s=survey.execution.unit_s, halo_s=survey.execution.halo_s)
     site = _named_site(frames, survey.georeference.reference_frame)
     if site is not None:
@@ -136,7 +137,7 @@ def cut_units(frames: pd.DataFrame, *, unit_s: float, halo_s: float) -> list[Uni
 def refs_of(rows: pd.DataFrame) -> list[FrameRef]:
     """Return the rows of the index as frame references, in their order."""
     times = rows["t_utc"].dt.tz_localize(None).to_numpy("datetime64[us]")
-    columns = (rows["frame_id"], rows["name"], rows["path"], times, rows["sha256"])
+    columns = (rows["frame_id"], rows["path"], times, rows["sha256"], rows["beside"])
     return [FrameRef(*row) for row in zip(*columns, strict=True)]
 
 
@@ -193,21 +194,15 @@ def _piece(
 
 def _frames_hash(unit: Unit) -> str:
     groups = (unit.frames, unit.halo, unit.site)
-    return digest(
-        [
-            [(ref.name.encode("utf-8", "surrogateescape").hex(), ref.sha256, str(ref.t_utc)) for ref in group]
-            for group in groups
-        ]
-    )
+    return digest([[(ref.path, ref.sha256, ref.beside, str(ref.t_utc)) for ref in group] for group in groups])
 
 
-def _settings(survey: Survey, step: Step, zones_text: str | None, beside: Mapping[str, str]) -> dict[str, str]:
+def _settings(survey: Survey, step: Step, zones_text: str | None) -> dict[str, str]:
     """Return name → hash of what *step* reads besides its inputs: only its own sections, defaults filled in."""
     reads: dict[Step, dict[str, Any]] = {
         "detect": {
             "archive.max_pixels": survey.archive.max_pixels,
             "georeference": survey.georeference.model_dump(mode="json"),
-            "files beside the frames": dict(sorted(beside.items())),
             "registration": survey.registration.model_dump(mode="json"),
             "background": survey.background.model_dump(mode="json"),
             "detection": survey.detection.model_dump(mode="json"),

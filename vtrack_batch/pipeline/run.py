@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -99,7 +98,7 @@ def prepare(survey: Survey) -> Prepared:
         raise UnusableData(f"{index.root}: none of {len(index.quarantine)} files can be used ({reasons})")
     if zones_text is not None:
         _check_zones(zones_text, survey, index)
-    plan = make_plan(index.frames, survey, zones_text=zones_text, beside=_files_beside(survey, index))
+    plan = make_plan(index.frames, survey, zones_text=zones_text)
     context = Context(survey, index.root, output.root, zones_text)
     ledger = _ledger(output)
     due = tuple(
@@ -207,25 +206,13 @@ def _check_zones(zones_text: str, survey: Survey, index: Index) -> None:
 
     for ref in refs_of(index.frames.iloc[:SITE_CANDIDATES]):
         try:
-            data = read_bytes(index.root, ref.name)
+            data = read_bytes(index.root, ref.path)
             header = read_header(data)
         except UnusableFrame:
             continue
         fix = fix_ground(survey, index.root, ref, data, header.width_px, header.height_px)
         parse_zones(zones_text, crs=fix.crs, source=str(survey.zones))
         return
-
-
-def _files_beside(survey: Survey, index: Index) -> dict[str, str]:
-    """Return path → hash of the world files beside the first frames of each sequence."""
-    from vtrack_batch.pipeline.ground import world_files
-
-    found: dict[str, str] = {}
-    for _, rows in index.frames.groupby("sequence", observed=True):
-        for name in rows["name"].iloc[:SITE_CANDIDATES]:
-            for path in world_files(index.root / str(name)):
-                found[path.name] = hashlib.sha256(path.read_bytes()).hexdigest()
-    return found
 
 
 def _ledger(output: Output) -> dict[str, dict[str, str]]:

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vtrack_batch.errors import UnusableFrame
-from vtrack_batch.georeference.geotags import GeoTags
-from vtrack_batch.georeference.ground_grid import GroundGrid
+from vtrack_batch.model.geotags import GeoTags
+from vtrack_batch.model.ground_grid import GroundGrid
 
 _TILE_PX = 512
 _IDENTITY = (0.0, 1.0, 0.0, 0.0, 0.0, 1.0)

@@ -143,7 +143,24 @@ def _updated(mean, cov, dt, x, y, variance, q, out_mean, out_cov):  # type: igno
 
 
 @njit(cache=True, nogil=True)
-def _messages(order, near, far, into_start, into, out_start, out, log_alone, log_odds, t, xy, variance, paint, log_paint, noise, motion):  # type: ignore[no-untyped-def]  # noqa: E501
+def _messages(
+    order,
+    near,
+    far,
+    into_start,
+    into,
+    out_start,
+    out,
+    log_alone,
+    log_odds,
+    t,
+    xy,
+    variance,
+    paint,
+    log_paint,
+    noise,
+    motion,
+):  # type: ignore[no-untyped-def]  # noqa: E501
     n_links = len(near)
     weight, odds = np.zeros(n_links), np.zeros(n_links)
     mean, cov = np.zeros((n_links, 4)), np.zeros((n_links, 3))
@@ -192,7 +209,33 @@ def _messages(order, near, far, into_start, into, out_start, out, log_alone, log
 
 
 @njit(cache=True, nogil=True)
-def _combined(near, far, into_start, into, out_start, out, log_alone, log_odds, t, xy, variance, paint, log_paint, noise, motion, p_weight, p_mean, p_cov, p_paint, p_count, f_weight, f_mean, f_cov, f_paint, f_count):  # type: ignore[no-untyped-def]  # noqa: E501
+def _combined(
+    near,
+    far,
+    into_start,
+    into,
+    out_start,
+    out,
+    log_alone,
+    log_odds,
+    t,
+    xy,
+    variance,
+    paint,
+    log_paint,
+    noise,
+    motion,
+    p_weight,
+    p_mean,
+    p_cov,
+    p_paint,
+    p_count,
+    f_weight,
+    f_mean,
+    f_cov,
+    f_paint,
+    f_count,
+):  # type: ignore[no-untyped-def]  # noqa: E501
     gain = np.empty(len(near))
     for e in range(len(near)):
         i, k = near[e], far[e]

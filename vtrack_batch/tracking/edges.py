@@ -37,6 +37,19 @@ class Links:
     def __len__(self) -> int:
         return len(self.i)
 
+    def above(self, least: float) -> Links:
+        """Return the links with a gain of more than *least*."""
+        keep = self.gain > least
+        return Links(self.i[keep], self.k[keep], self.log_alone[keep], self.gain[keep])
+
+
+@dataclass(frozen=True)
+class OpenEnds:
+    """Which sightings, (n,) bool, may have a later, or an earlier, one that is not in the very next frame."""
+
+    after: NDArray[np.bool_]
+    before: NDArray[np.bool_]
+
 
 def pair_links(
     s: Sightings, paint: Paint | None, log_colour: Array, matching: MatchingParams, limit_s: float, every: int = 1
@@ -47,7 +60,7 @@ def pair_links(
     """
     found = []
     for f in range(0, len(s.frame_s) - 1, every):
-        a, b, c = s.first[f : f + 3] if f + 2 < len(s.first) else (*s.first[f : f + 2], len(s))
+        a, b, c = (int(first) for first in s.first[f : f + 3])
         dt = float(s.frame_s[f + 1] - s.frame_s[f])
         if a == b or b == c or dt > limit_s:
             continue
@@ -69,15 +82,15 @@ def pair_links(
 
 
 def gated_links(
-    s: Sightings, forward: States, backward: States, open_after: NDArray[np.bool_], open_before: NDArray[np.bool_],
-    limit_s: float, params: TrackingParams,
+    s: Sightings, forward: States, backward: States, ends: OpenEnds, limit_s: float, params: TrackingParams
 ) -> tuple[Index, Index]:
     """List pairs (i, k) in which k lies where i is headed, or i where k comes from; over misses only open ends."""
     motion = params.motion
     q = motion.jerkiness * (1 + motion.rough_share * motion.rough_factor)
     scale = np.array([params.link.gate_sigmas, q, motion.max_speed_mps, limit_s])
-    ahead = _gate(s.first, s.frame_s, s.frame, s.xy, s.sigma_m, forward.mean, forward.cov, forward.moving, open_after, open_before, scale, 1)
-    behind = _gate(s.first, s.frame_s, s.frame, s.xy, s.sigma_m, backward.mean, backward.cov, backward.moving, open_before, open_after, scale, -1)
+    place = s.first, s.frame_s, s.frame, s.xy, s.sigma_m
+    ahead = _gate(*place, forward.mean, forward.cov, forward.moving, ends.after, ends.before, scale, 1)
+    behind = _gate(*place, backward.mean, backward.cov, backward.moving, ends.before, ends.after, scale, -1)
     return np.concatenate([ahead[0], behind[1]]), np.concatenate([ahead[1], behind[0]])
 
 
@@ -107,8 +120,8 @@ def _gate(first, frame_s, frame, xy, sigma, mean, cov, moving, open_from, open_t
                 near = (xy[k, 0] - x) ** 2 + (xy[k, 1] - y) ** 2 <= reach**2
                 slow = (xy[k, 0] - xy[i, 0]) ** 2 + (xy[k, 1] - xy[i, 1]) ** 2 <= (max_speed * h + 2.0) ** 2
                 if near and slow:
-                    out_from.append(i)
-                    out_to.append(k)
+                    out_from.append(np.int64(i))
+                    out_to.append(np.int64(k))
             f += step
     return np.array(out_from, dtype=np.int64), np.array(out_to, dtype=np.int64)
 

@@ -18,13 +18,14 @@ from vtrack_batch.matching.decision import assign
 from vtrack_batch.matching.match import MOVING_MPS
 from vtrack_batch.matching.params import ColourParams, MatchingParams
 from vtrack_batch.tracking.beliefs import Graph, link_gains
-from vtrack_batch.tracking.edges import Links, gated_links, local_density, pair_links
+from vtrack_batch.tracking.edges import Links, OpenEnds, gated_links, local_density, pair_links
 from vtrack_batch.tracking.motion import filter_chain
 from vtrack_batch.tracking.params import TrackingParams
 from vtrack_batch.tracking.sightings import DENSITY_RADIUS_M, Array, Index, Sightings
 
 SAMPLE_FRAMES = 40  # on which the spreads of colour are first learned
 SURE_PAIR, SURE_LINK = 0.9, 0.99
+HOPELESS = -6.0  # links of lower log-odds are not looked at again
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,9 @@ def link(s: Sightings, matching: MatchingParams, params: TrackingParams) -> Chai
         sample = pair_links(s, scene.paint, scene.log_colour, matching, limit_s, every)
         scene = _relearned(scene, _chains(len(s), sample), SURE_PAIR)
     pairs = pair_links(s, scene.paint, scene.log_colour, matching, limit_s)
-    chains = _chains(len(s), _scored(scene, pairs.i, pairs.k, pairs.log_alone))
+    pairs = _scored(scene, pairs.i, pairs.k, pairs.log_alone)
+    chains = _chains(len(s), pairs)
+    pairs = pairs.above(HOPELESS)
     for _ in range(params.link.rounds):
         scene = _relearned(scene, chains, SURE_LINK)
         chains = _chains(len(s), _links(scene, pairs, chains))
@@ -104,7 +107,7 @@ def _links(scene: Scene, pairs: Links, chains: Chains) -> Links:
     open_before = np.ones(len(s), bool)
     linked = chains.after >= 0
     open_before[chains.after[linked]] = open_after[linked]
-    i, k = gated_links(s, forward, backward, open_after, open_before, scene.limit_s, params)
+    i, k = gated_links(s, forward, backward, OpenEnds(open_after, open_before), scene.limit_s, params)
     key = np.concatenate([pairs.i * len(s) + pairs.k, i * len(s) + k])
     log_alone = np.concatenate([pairs.log_alone, np.full(len(i), -np.inf)])
     key, at = np.unique(key, return_index=True)

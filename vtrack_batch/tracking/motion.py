@@ -33,10 +33,10 @@ class States:
 
 
 def filter_chain(linked: Index, t: Array, xy: Array, sigma: Array, q: float, speed_sigma: float) -> States:
-    """Filter along chains: *linked* (n,) is the sighting that comes before each one, or -1.
+    """Filter along chains: *linked* (n,) is the sighting that comes before each one, or -1; *t* (n,) seconds.
 
-    For the backward filter pass the sightings that come after and negative *speeds* follow from negative time steps:
-    the order of work is by *t*, either way, as links say.
+    With the sightings that come after, in place of those before, this is the backward filter: time steps are negative,
+    velocities keep their sense.
     """
     order = np.argsort(t, kind="stable")
     if (t[linked[linked >= 0]] > t[linked >= 0]).any():
@@ -71,32 +71,6 @@ def _filter(order, linked, t, xy, sigma, q, speed_sigma):  # type: ignore[no-unt
         cov[i, 2] = vv - pv * pv / s
         count[i] = count[b] + 1
     return mean, cov, count
-
-
-def propagated(mean: Array, cov: Array, dt: Array, q: float | Array) -> tuple[Array, Array]:
-    """Predict states (n, 4), (n, 3) by *dt* (n,), which may be negative."""
-    h = np.abs(dt)
-    moved = mean.copy()
-    moved[:, :2] += dt[:, None] * mean[:, 2:]
-    pp, pv, vv = cov.T
-    return moved, np.column_stack(
-        [pp + 2 * dt * pv + dt**2 * vv + q * h**3 / 3, pv + dt * vv + q * h * dt / 2, vv + q * h]
-    )
-
-
-def log_normal_state(difference: Array, cov: Array) -> Array:
-    """Log density (n,) of differences of states (n, 4) with covariance (n, 3) shared by both axes."""
-    pp, pv, vv = cov.T
-    det = np.maximum(pp * vv - pv**2, 1e-12)
-    dx, dy, du, dw = difference.T
-    z = (vv * (dx**2 + dy**2) - 2 * pv * (dx * du + dy * dw) + pp * (du**2 + dw**2)) / det
-    return np.asarray(-0.5 * z - np.log(det) - 2 * np.log(2 * np.pi))
-
-
-def log_normal_place(difference: Array, variance: Array | float) -> Array:
-    """Log density (n,) of differences (n, 2) with the same variance on both axes."""
-    z = (difference**2).sum(axis=1) / variance
-    return np.asarray(-0.5 * z - np.log(2 * np.pi * np.asarray(variance)))
 
 
 @njit(cache=True, nogil=True)

@@ -14,7 +14,7 @@ class MotionParams(Params):
     jerkiness: float = Field(1.0, gt=0, description="[q] spectral density of acceleration, m2/s3, of ordinary driving")
     rough_factor: float = Field(8.0, gt=1, description="q of hard braking and sharp turns, as a multiple")
     rough_share: float = Field(0.15, gt=0, lt=1, description="share of intervals with such driving")
-    speed_sigma_mps: float = Field(10.0, gt=0, description="spread of velocity of a vehicle of unknown motion, per axis")
+    speed_sigma_mps: float = Field(10.0, gt=0, description="spread of unknown velocities, per axis")
     max_speed_mps: float = Field(40.0, gt=0, description="nothing on a road is faster")
 
 
@@ -28,7 +28,7 @@ class LinkParams(Params):
     break_share: float = Field(0.05, gt=0, lt=1, description="prior share of sightings that begin, or end, a track")
     sure: float = Field(0.9999, gt=0, lt=1, description="a link of this probability is not asked to compete with gaps")
     trust: float = Field(0.995, gt=0, lt=1, description="belief in a chain's own motion, at most")
-    rounds: int = Field(3, ge=1, description="rounds of linking, each with the velocities of the one before")
+    rounds: int = Field(2, ge=1, description="rounds of linking, each with the velocities of the one before")
     memory_sightings: int = Field(8, ge=1, description="mean colours count for at most this many sightings")
 
 

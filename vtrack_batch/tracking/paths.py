@@ -70,9 +70,7 @@ def paths_of(s: Sightings, chains: Chains, params: TrackingParams) -> Paths:
         first, s.frame_s[frame], seen, s.xy[sighting], s.sigma_m[sighting], motion.jerkiness, motion.speed_sigma_mps
     )
     parked = _parked(s, kept, of_track, at, params)
-    return Paths(
-        first, frame, sighting, mean[:, :2], mean[:, 2:], np.sqrt(cov[:, 0]), np.sqrt(cov[:, 2]), parked
-    )
+    return Paths(first, frame, sighting, mean[:, :2], mean[:, 2:], np.sqrt(cov[:, 0]), np.sqrt(cov[:, 2]), parked)
 
 
 def chain_numbers(before: Index) -> Index:

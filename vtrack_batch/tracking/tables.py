@@ -16,8 +16,6 @@ from vtrack_batch.tracking.params import TrackingParams
 from vtrack_batch.tracking.paths import Paths
 from vtrack_batch.tracking.sightings import Array, Index, Sightings, inside_m
 
-STILL_MPS = 1e-6
-
 
 def track_points(s: Sightings, paths: Paths, params: TrackingParams) -> pd.DataFrame:
     """Return one row for every vehicle and frame between its first and last sighting."""
@@ -112,7 +110,8 @@ def vehicle_ids(s: Sightings, paths: Paths) -> pd.Series[str]:
 def times(s: Sightings, frame: Index) -> pd.DatetimeIndex:
     """Return the UTC times of frames by number."""
     micro = np.round(s.frame_s[frame] * 1e6).astype("timedelta64[us]")
-    return pd.DatetimeIndex(s.start.tz_localize(None).to_datetime64().astype("datetime64[us]") + micro).tz_localize("UTC")
+    start = s.start.tz_localize(None).to_datetime64().astype("datetime64[us]")
+    return pd.DatetimeIndex(start + micro).tz_localize("UTC")
 
 
 def acceleration(s: Sightings, paths: Paths) -> Array:
@@ -149,7 +148,7 @@ def _steps(paths: Paths) -> Array:
 
 
 def _sum_per_track(paths: Paths, values: Array) -> Array:
-    return np.bincount(paths.track, weights=values, minlength=len(paths))
+    return np.asarray(np.bincount(paths.track, weights=values, minlength=len(paths)), float)
 
 
 def _median_size(s: Sightings, paths: Paths, column: str) -> Array:
