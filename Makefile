@@ -24,7 +24,7 @@ $(VENV)/dev: requirements-dev.lock $(VENV)/runtime
 
 demo: $(VENV)/runtime ## make a small archive with known truth, run it, print truth beside result
 	rm -rf demo
-	$(BIN)/vtrack-batch simulate configs/scenario-crossing.yaml demo
+	$(BIN)/vtrack-batch simulate configs/scenario-crossing.yaml demo --workers 2
 	$(BIN)/vtrack-batch run demo/survey.yaml --workers 2 -v
 	$(BIN)/vtrack-batch evaluate demo/results demo/truth
 	@echo "tables: demo/results/current/<table>   report: demo/results/current/report/report.html"

@@ -14,10 +14,11 @@ from vtrack_batch.cli import options
 )
 @click.argument("scenario_yaml", type=click.Path(path_type=Path))
 @click.argument("out", type=click.Path(path_type=Path))
+@click.option("--workers", type=click.IntRange(1), default=1, help="Processes that render frames.")
 @options.as_json
 @options.quiet
 @options.verbose
-def command(scenario_yaml: Path, out: Path, as_json: bool, quiet: bool, verbose: bool) -> None:
+def command(scenario_yaml: Path, out: Path, workers: int, as_json: bool, quiet: bool, verbose: bool) -> None:
     """\b
     Example:
       vtrack-batch simulate configs/scenario-crossing.yaml demo
@@ -29,6 +30,6 @@ def command(scenario_yaml: Path, out: Path, as_json: bool, quiet: bool, verbose:
     from vtrack_batch.simulation.params import Scenario
     from vtrack_batch.simulation.write import simulate
 
-    made = simulate(load_params(scenario_yaml, Scenario), out)
+    made = simulate(load_params(scenario_yaml, Scenario), out, workers=workers, base=scenario_yaml.parent)
     if not quiet:
         options.answer(made, "\n".join(f"{name}: {value}" for name, value in made.items()), as_json=as_json)

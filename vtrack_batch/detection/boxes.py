@@ -22,7 +22,8 @@ Boxes = NDArray[np.float64]
 _HIDDEN = -1000
 _TAKEN = -50
 _MOST_TAKEN = 0.3
-_FALLING_OFF = 0.7
+_FALLING_OFF = 0.75
+_NEARLY_AS_FULL = 0.1
 
 
 def fit_boxes(
@@ -97,16 +98,24 @@ def _fit(inner, rim, cast, width, offsets, starts, half_axes, shades, places, we
 @njit(cache=True, nogil=True)
 def _best_box(inner, rim, cast, offsets, starts, place, weights, least, best):  # type: ignore[no-untyped-def]
     """Write the score, direction and size of the best box at *place* to *best*; below *least* none is looked for."""
+    directions, sizes = starts.shape[0], starts.shape[1]
+    filled = np.empty(directions)
+    for d in range(directions):
+        filled[d] = _inside(inner, offsets, starts[d, 0], place, weights[2])
     best[0] = least - 1e-9
     found = False
-    for d in range(starts.shape[0]):
-        fullest = 0.0
-        for k in range(starts.shape[1]):
-            inside = _inside(inner, offsets, starts[d, k], place, weights[2])
+    enough = filled.max() - _NEARLY_AS_FULL
+    for _ in range(directions):
+        d = int(np.argmax(filled))
+        fullest = filled[d]
+        if fullest < enough or fullest + weights[1] <= best[0]:
+            break
+        filled[d] = -10.0
+        for k in range(sizes):
+            inside = fullest if k == 0 else _inside(inner, offsets, starts[d, k], place, weights[2])
             # Sizes ascend: once a box reaches far beyond what is there, larger ones do too.
             if inside < _FALLING_OFF * fullest:
                 break
-            fullest = max(fullest, inside)
             if inside + weights[1] <= best[0]:
                 continue
             score = inside + _around(rim, cast, offsets, starts[d, k], place, weights, best[0] - inside)

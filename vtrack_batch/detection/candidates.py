@@ -19,7 +19,7 @@ from vtrack_batch.model import homography
 from vtrack_batch.model.flags import DetectionFlag
 
 
-_CORE = 0.5
+_CORE = 0.4
 """Least mean evidence around the middle of a box that is tried."""
 
 

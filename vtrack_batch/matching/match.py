@@ -83,7 +83,9 @@ def untrained_labels(
     """
     prior = displacement_density(edges, elapsed_s, params)
     if flow_map is not None:
-        prior = flow_map.mixed(prior, a.xy[edges.i], edges.displacement, elapsed_s)
+        prior = flow_map.mixed(
+            prior, a.xy[edges.i], edges.displacement, elapsed_s, prior_weight=params.neighbours.prior_weight
+        )
 
     neighbours = neighbours_of(edges, a.xy, b.xy, elapsed_s=elapsed_s, params=params.neighbours)
 

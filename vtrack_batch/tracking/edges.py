@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from vtrack_batch.matching.candidates import candidates
 from vtrack_batch.matching.colour import Paint
+from vtrack_batch.matching.flow import FlowMap
 from vtrack_batch.matching.match import displacement_density, log_evidence
 from vtrack_batch.matching.neighbours import match_by_neighbours, neighbours_of
 from vtrack_batch.matching.params import MatchingParams
@@ -52,7 +53,14 @@ class OpenEnds:
 
 
 def pair_links(
-    s: Sightings, paint: Paint | None, log_colour: Array, matching: MatchingParams, limit_s: float, every: int = 1
+    s: Sightings,
+    paint: Paint | None,
+    log_colour: Array,
+    matching: MatchingParams,
+    limit_s: float,
+    *,
+    every: int = 1,
+    flow_map: FlowMap | None = None,
 ) -> Links:
     """Match successive frames without history, by colour and the neighbours' motion; keep what is not hopeless.
 
@@ -71,6 +79,9 @@ def pair_links(
             colour = paint.log_ratio_given(s.rgb[i], s.rgb[k], 0.5 * (log_colour[i] + log_colour[k]))
         evidence = log_evidence(edges, colour, dt, matching)
         prior = displacement_density(edges, dt, matching)
+        if flow_map is not None:
+            weight = matching.neighbours.prior_weight
+            prior = flow_map.mixed(prior, s.xy[i], edges.displacement, dt, prior_weight=weight)
         neighbours = neighbours_of(edges, s.xy[a:b], s.xy[b:c], elapsed_s=dt, params=matching.neighbours)
         _, log_odds = match_by_neighbours(edges, neighbours, evidence, prior, matching.neighbours)
         keep = log_odds > KEEP_LOG_ODDS

@@ -15,6 +15,7 @@ import numpy as np
 
 from vtrack_batch.matching.colour import Paint, learned_noise, opponent
 from vtrack_batch.matching.decision import assign
+from vtrack_batch.matching.flow import FlowMap
 from vtrack_batch.matching.match import MOVING_MPS
 from vtrack_batch.matching.params import ColourParams, MatchingParams
 from vtrack_batch.tracking.beliefs import Graph, link_gains
@@ -56,16 +57,16 @@ class Scene:
     axes: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
 
-def link(s: Sightings, matching: MatchingParams, params: TrackingParams) -> Chains:
+def link(s: Sightings, matching: MatchingParams, params: TrackingParams, flow_map: FlowMap | None = None) -> Chains:
     """Return the chains of one sequence."""
     limit_s = max(params.link.coast_s, (params.link.coast_frames + 1.05) * s.interval_s)
     density = np.log(local_density(s.first, s.frame, s.xy, DENSITY_RADIUS_M))
     scene = _repainted(Scene(s, density, limit_s, matching, params), matching.colour.wide())
     if s.rgb is not None:
         every = max(1, len(s.frame_s) // SAMPLE_FRAMES)
-        sample = pair_links(s, scene.paint, scene.log_colour, matching, limit_s, every)
+        sample = pair_links(s, scene.paint, scene.log_colour, matching, limit_s, every=every, flow_map=flow_map)
         scene = _relearned(scene, _chains(len(s), sample), SURE_PAIR)
-    pairs = pair_links(s, scene.paint, scene.log_colour, matching, limit_s)
+    pairs = pair_links(s, scene.paint, scene.log_colour, matching, limit_s, flow_map=flow_map)
     pairs = _scored(scene, pairs.i, pairs.k, pairs.log_alone)
     chains = _chains(len(s), pairs)
     pairs = pairs.above(HOPELESS)

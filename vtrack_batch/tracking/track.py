@@ -74,7 +74,7 @@ def track(
 def _track_sequence(
     s: Sightings, method: str, flow_map: FlowMap | None, matching: MatchingParams, params: TrackingParams
 ) -> Tracks:
-    chains = link(s, matching, params) if method in CHAINED else chain_pairs(s, method, matching, flow_map)
+    chains = link(s, matching, params, flow_map) if method in CHAINED else chain_pairs(s, method, matching, flow_map)
     paths = paths_of(s, chains, params)
     return Tracks(
         tables.track_points(s, paths, params), tables.trajectories(s, paths, params), tables.matches(s, chains, method)
