@@ -54,7 +54,7 @@ def test_motorways_run_to_the_end_with_plausible_paths(
     assert report.frames_used == frames
     found = moving(tmp_path)
     assert len(found) >= movers
-    assert found["mean_speed_mps"].quantile(0.9) > 10.0
+    assert found["mean_speed_mps"].quantile(0.9) > 5.0
     assert found["mean_speed_mps"].max() < 60.0
 
 
@@ -84,5 +84,5 @@ def test_a_geotiff_archive_comes_out_in_its_own_crs(shared_data: Path, tmp_path:
             if len(near) and np.hypot(*offset.T).min() < 1.5:
                 offsets.append(offset[np.hypot(*offset.T).argmin()])
     assert len(offsets) >= 20
-    # the georeference itself: a wrong convention would be half a pixel (0.075 m) or more, the same for all
+    # a wrong convention would put all vehicles half a pixel (0.075 m) or more to one side
     assert np.hypot(*np.median(offsets, axis=0)) < 0.1

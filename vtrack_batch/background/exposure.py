@@ -64,9 +64,8 @@ def fit_exposure(
 
 def _smooth(gain: NDArray[np.float32]) -> NDArray[np.float32]:
     # The median of neighbouring tiles keeps a tile that is full of vehicles from eating them.
-    if min(gain.shape) >= 2:
-        gain = cv2.medianBlur(gain, 3)
-    return np.asarray(cv2.GaussianBlur(gain, (0, 0), 0.8), np.float32)
+    steady = cv2.medianBlur(gain, 3) if min(gain.shape) >= 2 else gain
+    return np.asarray(cv2.GaussianBlur(steady, (0, 0), 0.8), np.float32)
 
 
 def _flat(target: NDArray[np.uint8], usable: NDArray[np.bool_]) -> NDArray[np.bool_]:

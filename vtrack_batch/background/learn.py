@@ -25,6 +25,7 @@ _SHADOW_SAMPLES = 7
 _FEWEST_FOR_MODE = 5
 _LEAST_TRAFFIC = 1.5
 _THIRD = 3
+_WHOLLY = 0.999
 # A third of the |deviations| of a Gaussian lie below 0.43 standard deviations; of the largest of three, partly
 # correlated channels below about 0.7.
 _THIRD_TO_SIGMA = 1 / 0.7
@@ -42,32 +43,41 @@ class Sample:
 class Background:
     """The block's ground without traffic, in reference pixels (H, W).
 
-    ``pixels`` (H, W, 3) uint8; ``tolerance`` uint8 grey levels by which a frame may differ by chance, 255 = unseen;
+    ``levels`` (H, W, 4) uint8: colour, and the grey levels by which a frame may differ by chance, 255 = unseen;
     ``seen`` bool; ``activity`` bool where samples differ often; ``shadows`` how cast shadows look; ``samples`` = how
     many were used; ``range_share`` as in ``BackgroundParams``.
     """
 
-    pixels: NDArray[np.uint8]
-    tolerance: NDArray[np.uint8]
+    levels: NDArray[np.uint8]
     seen: NDArray[np.bool_]
     activity: NDArray[np.bool_]
     shadows: Shadows
     samples: int
     range_share: float
 
+    @property
+    def pixels(self) -> NDArray[np.uint8]:
+        """The colour of the ground (H, W, 3) uint8."""
+        return np.ascontiguousarray(self.levels[:, :, :3])
+
+    @property
+    def tolerance(self) -> NDArray[np.uint8]:
+        """Grey levels (H, W) uint8 by which a frame may differ by chance; 255 = unseen."""
+        return np.ascontiguousarray(self.levels[:, :, 3])
+
     def ground(self, step_x: int, step_y: int) -> NDArray[np.uint8]:
         """Return colour and tolerance (h, w, 4) uint8 on a grid coarser by whole steps, for ``subtract``."""
-        whole = np.dstack([self.pixels, self.tolerance])
         if step_x == step_y == 1:
-            return whole
-        height, width = self.tolerance.shape
+            return self.levels
+        height, width = self.seen.shape
         size = (width // step_x, height // step_y)
-        coarse = cv2.resize(whole[: size[1] * step_y, : size[0] * step_x], size, interpolation=cv2.INTER_AREA)
+        rows, columns = size[1] * step_y, size[0] * step_x
+        coarse = cv2.resize(self.levels[:rows, :columns], size, interpolation=cv2.INTER_AREA)
+        seen = cv2.resize(self.seen[:rows, :columns].astype(np.float32), size, interpolation=cv2.INTER_AREA) > _WHOLLY
         # The local range grows with the distance of the pixels.
-        local = cv2.multiply(_local_range(coarse[:, :, :3]), self.range_share)
-        seen = cv2.resize(self.seen.astype(np.uint8)[: size[1] * step_y, : size[0] * step_x], size, interpolation=cv2.INTER_NEAREST)
+        local = self.range_share * _local_range(np.ascontiguousarray(coarse[:, :, :3]))
         tolerance = np.minimum(np.maximum(coarse[:, :, 3], local), _UNSEEN_TOLERANCE - 1)
-        coarse[:, :, 3] = np.where(seen > 0, tolerance, _UNSEEN_TOLERANCE)
+        coarse[:, :, 3] = np.where(seen, tolerance, _UNSEEN_TOLERANCE)
         return np.asarray(coarse, np.uint8)
 
 
@@ -91,8 +101,9 @@ def learn_background(samples: Sequence[Sample], *, params: BackgroundParams) -> 
         _free_busy_places(stacks, strips, (pixels, spread, changed), params)
     tolerance = _tolerance(pixels, spread, seen, params)
     activity = cv2.blur(changed, (9, 9)) > 1.0 / max(8, len(samples))
-    shadows = _shadows(samples, pixels, tolerance, params)
-    return Background(pixels, tolerance, seen, activity, shadows, len(samples), params.range_share)
+    levels = np.dstack([pixels, tolerance])
+    shadows = _shadows(samples, levels, params)
+    return Background(levels, seen, activity, shadows, len(samples), params.range_share)
 
 
 # exposure -------------------------------------------------------------------------------------------------------------
@@ -108,7 +119,7 @@ def _exposures(
     size = (target.shape[1], target.shape[0])
     found = []
     for sample, mask in zip(samples, covered, strict=True):
-        to_frame = np.linalg.inv(sample.frame_to_reference) @ np.diag([step, step, 1.0])
+        to_frame = np.asarray(np.linalg.inv(sample.frame_to_reference) @ np.diag([step, step, 1.0]), float)
         picture = _warp(sample.pixels, to_frame, size, cv2.INTER_NEAREST)
         usable = seen & (_warp(mask, to_frame, size, cv2.INTER_NEAREST) > 0)
         found.append(fit_exposure(picture, target, usable, tile_px=params.gain_tile_px / step))
@@ -120,7 +131,9 @@ def _reference(samples: Sequence[Sample]) -> int:
     return int(np.argmin(off)) if min(off) < 1e-9 else 0
 
 
-def _warp(image: NDArray[np.uint8], to_source: NDArray[np.float64], size: tuple[int, int], how: int) -> NDArray[np.uint8]:
+def _warp(
+    image: NDArray[np.uint8], to_source: NDArray[np.float64], size: tuple[int, int], how: int
+) -> NDArray[np.uint8]:
     return np.asarray(cv2.warpPerspective(image, to_source, size, flags=how | cv2.WARP_INVERSE_MAP), np.uint8)
 
 
@@ -251,11 +264,8 @@ def _tolerance(
     return levels
 
 
-def _shadows(
-    samples: Sequence[Sample], pixels: NDArray[np.uint8], tolerance: NDArray[np.uint8], params: BackgroundParams
-) -> Shadows:
+def _shadows(samples: Sequence[Sample], ground: NDArray[np.uint8], params: BackgroundParams) -> Shadows:
     chosen = np.unique(np.linspace(0, len(samples) - 1, _SHADOW_SAMPLES).round().astype(int))
-    ground = np.dstack([pixels, tolerance])
 
     def differences(band: Band) -> list[Difference]:
         return [

@@ -10,7 +10,9 @@ from vtrack_batch.model.params import Params
 class BackgroundParams(Params):
     """How the empty ground is learned from the frames of a block."""
 
-    samples: int = Field(31, ge=1, le=255, description="frames, spread over the block, from which the ground is learned")
+    samples: int = Field(
+        31, ge=1, le=255, description="frames, spread over the block, from which the ground is learned"
+    )
     fewest_samples: int = Field(
         3, ge=1, description="ground covered by fewer samples counts as unseen (never more than half of the samples)"
     )
@@ -25,6 +27,8 @@ class BackgroundParams(Params):
         0.35, gt=0, lt=1, description="share of samples that differ from the median, above which the mode decides"
     )
     change_levels: float = Field(20.0, gt=0, description="difference in grey levels that counts as a change")
-    gain_tile_px: int = Field(96, ge=16, description="distance of the nodes of the smooth gain between frames, in pixels")
+    gain_tile_px: int = Field(
+        96, ge=16, description="distance of the nodes of the smooth gain between frames, in pixels"
+    )
     shadow_ratio_min: float = Field(0.3, gt=0, lt=1, description="darkest cast shadow, as a ratio to the lit ground")
     shadow_ratio_max: float = Field(0.78, gt=0, lt=1, description="brightest cast shadow, as a ratio to the lit ground")

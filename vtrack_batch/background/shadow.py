@@ -1,7 +1,7 @@
 """What cast shadows of moving things look like here: how dark, and on which side of the thing they lie.
 
-Source: a cast shadow scales the levels of the ground (Horprasert et al. 1999), so the ratios of darkened pixels pile up at
-one value where the sun shines and nowhere in particular where it does not.
+Source: a cast shadow scales the levels of the ground (Horprasert et al. 1999), so the ratios of darkened pixels pile
+up at one value where the sun shines and nowhere in particular where it does not.
 """
 
 from __future__ import annotations

@@ -54,22 +54,23 @@ def subtract(
     shadow per channel; *tile_px* = distance of the nodes of the exposure's gain.
     """
     height, width = frame.shape[:2]
-    seen = cv2.warpPerspective(
-        ground,
-        frame_to_ground_px,
-        (width, height),
-        flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=(0, 0, 0, 255),
+    seen = np.asarray(
+        cv2.warpPerspective(
+            ground,
+            frame_to_ground_px,
+            (width, height),
+            flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=(0, 0, 0, _UNSEEN),
+        ),
+        np.uint8,
     )
     step = _POINT_STEP_PX
     points = seen[::step, ::step]
     picture, target = np.ascontiguousarray(frame[::step, ::step]), np.ascontiguousarray(points[:, :, :3])
     exposure = fit_exposure(picture, target, points[:, :, 3] < _UNSEEN, tile_px=tile_px / step)
     evidence, classes = np.empty((height, width), np.uint8), np.empty((height, width), np.uint8)
-    _classify(
-        frame, seen, exposure.levels, exposure.gain_map(height, width), threshold, shadow_band, evidence, classes
-    )
+    _classify(frame, seen, exposure.levels, exposure.gain_map(height, width), threshold, shadow_band, evidence, classes)
     return Difference(evidence, classes, exposure, seen)
 
 

@@ -6,6 +6,7 @@ shadow on the far side from the sun for it. So queues are split, and cars cut by
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
 
 import numpy as np
@@ -22,22 +23,35 @@ Boxes = NDArray[np.float64]
 _HIDDEN = -1000
 _TAKEN = -50
 _MOST_TAKEN = 0.3
-_FALLING_OFF = 0.75
-_NEARLY_AS_FULL = 0.1
+_FALLING_OFF = 0.8
+_NEARLY_AS_FULL = 0.15
+_HOPE = 0.7
+_HEMMED_IN = 0.3
 
 
-def fit_boxes(
-    difference: Difference, templates: Templates, seeds: NDArray[np.int32], params: DetectionParams
-) -> Boxes:
-    """Return boxes whose score is at least ``weak_score``, best first; *seeds* (n, 2) = rows, columns to try."""
-    margin = int(max(np.abs(templates.offsets).max(), np.abs(templates.half_axes).max() + np.abs(templates.shades).max())) + 6
+@dataclass(frozen=True, eq=False)
+class Seeds:
+    """Places to try: ``grid`` (n, 2) int64 row and column on a coarse grid of every ``step``-th (row, column) pixel."""
+
+    grid: NDArray[np.int64]
+    step: tuple[int, int]
+
+
+def fit_boxes(difference: Difference, templates: Templates, seeds: Seeds, params: DetectionParams) -> Boxes:
+    """Return boxes whose score is at least ``weak_score``, best first; *seeds* = where to try."""
+    margin = (
+        int(max(np.abs(templates.offsets).max(), np.abs(templates.half_axes).max() + np.abs(templates.shades).max()))
+        + 6
+    )
     inner, rim, cast = _layers(difference.evidence, difference.classes, margin, params.shadow_evidence)
     width = inner.shape[1]
     offsets = templates.offsets[:, 0] * width + templates.offsets[:, 1]
-    places = (seeds[:, 0] + margin) * width + seeds[:, 1] + margin
+    places = (seeds.grid * seeds.step + margin) @ np.array([width, 1])
     weights = np.array([params.rim_weight, params.shadow_weight, params.visible_share, params.weak_score])
     layers = inner.ravel(), rim.ravel(), cast.ravel()
-    boxes = _fit(*layers, width, offsets, templates.starts, templates.half_axes, templates.shades, places.astype(np.int64), weights)
+    boxes = _fit(
+        *layers, width, offsets, templates.starts, templates.half_axes, templates.shades, seeds.grid, places, weights
+    )
     boxes[:, :2] -= margin
     return np.asarray(boxes)
 
@@ -61,13 +75,22 @@ def _layers(evidence, classes, margin, shadow_evidence):  # type: ignore[no-unty
 
 
 @njit(cache=True, nogil=True)
-def _fit(inner, rim, cast, width, offsets, starts, half_axes, shades, places, weights):  # type: ignore[no-untyped-def]
+def _fit(inner, rim, cast, width, offsets, starts, half_axes, shades, grid, places, weights):  # type: ignore[no-untyped-def]
     best = np.zeros((len(places), 3))
     queue = [(0.0, 0)]
     queue.clear()
     weak = weights[3]
+    cars = starts[:, :1]
     for i in range(len(places)):
-        _best_box(inner, rim, cast, offsets, starts, places[i], weights, weak, best[i])
+        _best_box(inner, rim, cast, offsets, cars, places[i], weights, _HOPE * weak, best[i])
+    peaks = _peaks(grid, best[:, 0])
+    for i in range(len(places)):
+        # Larger boxes are tried where a car fits better than beside, or is hemmed in; the rest waits for its turn.
+        d = int(best[i, 1])
+        if not peaks[i] and best[i, 0] > 0:
+            peaks[i] = _rim_share(rim, offsets, starts[d, 0], places[i]) >= _HEMMED_IN
+        if peaks[i]:
+            _best_box(inner, rim, cast, offsets, starts, places[i], weights, weak, best[i])
         if best[i, 0] >= weak:
             queue.append((-best[i, 0], i))
     heapify(queue)
@@ -76,12 +99,14 @@ def _fit(inner, rim, cast, width, offsets, starts, half_axes, shades, places, we
     while len(queue) > 0:
         _, i = heappop(queue)
         before, d, k = best[i, 0], int(best[i, 1]), int(best[i, 2])
-        if _score(inner, rim, cast, offsets, starts[d, k], places[i], weights, -9.0) < before - 1e-9:
-            # Some of its pixels went to a better box: what else fits here?
+        same = _score(inner, rim, cast, offsets, starts[d, k], places[i], weights, -9.0) >= before - 1e-9
+        if not (same and peaks[i]):
+            # Some of its pixels went to a better box, or only cars were tried: what fits best here?
             if inner[places[i]] != _TAKEN:
                 _best_box(inner, rim, cast, offsets, starts, places[i], weights, weak, best[i])
-                if weak <= best[i, 0] < before:
+                if weak <= best[i, 0] and (best[i, 0] < before or not peaks[i]):
                     heappush(queue, (-best[i, 0], i))
+                peaks[i] = True
             continue
         place, score = _climb(inner, rim, cast, width, offsets, starts[d, k], places[i], before, weights)
         if _share_of(inner, offsets, starts[d, k], place, _TAKEN) > _MOST_TAKEN:
@@ -93,6 +118,19 @@ def _fit(inner, rim, cast, width, offsets, starts, half_axes, shades, places, we
         _take(inner, rim, cast, width, place, half_axes[d, k], shades[k])
         found += 1
     return boxes[:found]
+
+
+@njit(cache=True, nogil=True)
+def _peaks(grid, score):  # type: ignore[no-untyped-def]
+    """Which seeds, at row and column *grid* (n, 2) of the coarse grid, score no less than the eight around them."""
+    around = np.full((grid[:, 0].max() + 3, grid[:, 1].max() + 3), -10.0) if len(grid) else np.zeros((1, 1))
+    for i in range(len(grid)):
+        around[grid[i, 0] + 1, grid[i, 1] + 1] = score[i]
+    peaks = np.zeros(len(grid), np.bool_)
+    for i in range(len(grid)):
+        r, c = grid[i, 0], grid[i, 1]
+        peaks[i] = score[i] > 0 and around[r : r + 3, c : c + 3].max() <= score[i] + 1e-9
+    return peaks
 
 
 @njit(cache=True, nogil=True)
@@ -153,18 +191,25 @@ def _inside(inner, offsets, starts, place, visible_share):  # type: ignore[no-un
 @njit(cache=True, nogil=True)
 def _around(rim, cast, offsets, starts, place, weights, least):  # type: ignore[no-untyped-def]
     """What the rim takes from the score and the cast shadow adds; stops where that cannot exceed *least*."""
-    score = 0.0
-    for part in range(FRONT, RIGHT + 1):
-        busy = 0
-        for n in range(starts[part], starts[part + 1]):
-            busy += rim[place + offsets[n]]
-        score -= weights[0] * busy / (4 * FULL * (starts[part + 1] - starts[part]))
+    score = -weights[0] * _rim_share(rim, offsets, starts, place)
     if starts[CAST + 1] == starts[CAST] or score + weights[1] <= least:
         return score
     shaded = 0
     for n in range(starts[CAST], starts[CAST + 1]):
         shaded += cast[place + offsets[n]]
     return score + weights[1] * shaded / (starts[CAST + 1] - starts[CAST])
+
+
+@njit(cache=True, nogil=True)
+def _rim_share(rim, offsets, starts, place):  # type: ignore[no-untyped-def]
+    """How much of the rim is occupied, every side counting alike."""
+    share = 0.0
+    for part in range(FRONT, RIGHT + 1):
+        busy = 0
+        for n in range(starts[part], starts[part + 1]):
+            busy += rim[place + offsets[n]]
+        share += busy / (4 * FULL * (starts[part + 1] - starts[part]))
+    return share
 
 
 @njit(cache=True, nogil=True)
@@ -228,6 +273,6 @@ def _take(inner, rim, cast, width, place, half_axes, shade):  # type: ignore[no-
             if inner[at] != _HIDDEN:
                 inner[at] = _TAKEN
             for step in range(1, steps + 1):
-                moved = at + int(round(shade[1] * step / steps)) * width + int(round(shade[0] * step / steps))
+                moved = at + round(shade[1] * step / steps) * width + round(shade[0] * step / steps)
                 if 0 <= moved < len(inner) and cast[moved] == 1 and inner[moved] > 0:
                     inner[moved] = 0

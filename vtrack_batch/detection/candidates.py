@@ -1,4 +1,4 @@
-"""Vehicle candidates of one frame: boxes over what differs from the background, weak ones included, with their score."""
+"""Vehicle candidates of one frame: boxes over what differs from the background, weak ones too, with their score."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 from vtrack_batch.background.coverage import has_data
 from vtrack_batch.background.learn import Background
 from vtrack_batch.background.subtract import FULL, UNSEEN, Difference, subtract
-from vtrack_batch.detection.boxes import fit_boxes
+from vtrack_batch.detection.boxes import Seeds, fit_boxes
 from vtrack_batch.detection.measure import measure
 from vtrack_batch.detection.params import DetectionParams
 from vtrack_batch.detection.templates import draw_templates
 from vtrack_batch.model import homography
 from vtrack_batch.model.flags import DetectionFlag
-
 
 _CORE = 0.4
 """Least mean evidence around the middle of a box that is tried."""
@@ -133,13 +132,13 @@ def _in_frame(
 # seeds and results ----------------------------------------------------------------------------------------------------
 
 
-def _seeds(difference: Difference, px_per_m: tuple[float, float], params: DetectionParams) -> NDArray[np.int32]:
-    """Return places (n, 2) row, column on a coarse grid around which most pixels differ."""
+def _seeds(difference: Difference, px_per_m: tuple[float, float], params: DetectionParams) -> Seeds:
+    """Return places on a coarse grid around which most pixels differ."""
     step_r, step_c = (max(1, round(params.seed_step_m * scale)) for scale in (px_per_m[1], px_per_m[0]))
     window = (2 * round(0.6 * px_per_m[0]) + 1, 2 * round(0.6 * px_per_m[1]) + 1)
     around = cv2.blur(difference.evidence, window)[::step_r, ::step_c]
-    rows, columns = np.nonzero((around >= _CORE * FULL) & (difference.classes[::step_r, ::step_c] != UNSEEN))
-    return np.stack([rows * step_r, columns * step_c], axis=1).astype(np.int32)
+    seen = difference.classes[::step_r, ::step_c] != UNSEEN
+    return Seeds(np.argwhere((around >= _CORE * FULL) & seen), (step_r, step_c))
 
 
 def _candidates(
@@ -154,22 +153,22 @@ def _candidates(
     placed = np.concatenate([boxes[:, :2], axes], axis=1)
     exposure = difference.exposure
     gain = exposure.gain_map(*picture.shape[:2])
-    refined, colour = measure(picture, difference.ground, difference.classes, difference.evidence, exposure.levels, gain, placed)
+    found = measure(picture, difference.ground, difference.classes, exposure.levels, gain, placed)
     x, y = float(steps[0]), float(steps[1])
-    flags = np.where(colour[:, 5] > 0, int(DetectionFlag.TOUCHES_BORDER), 0)
-    flags |= np.where(colour[:, 6] > 0, int(DetectionFlag.NEAR_UNSEEN), 0)
+    flags = np.where(found[:, 5] > 0, int(DetectionFlag.TOUCHES_BORDER), 0)
+    flags |= np.where(found[:, 6] > 0, int(DetectionFlag.NEAR_UNSEEN), 0)
     return Candidates(
-        col_px=refined[:, 0] * x + (x - 1) / 2,
-        row_px=refined[:, 1] * y + (y - 1) / 2,
-        lx_px=refined[:, 2] * x,
-        ly_px=refined[:, 3] * y,
-        wx_px=refined[:, 4] * x,
-        wy_px=refined[:, 5] * y,
-        area_px=colour[:, 3] * x * y,
-        red=colour[:, 0],
-        green=colour[:, 1],
-        blue=colour[:, 2],
-        contrast=colour[:, 4],
+        col_px=placed[:, 0] * x + (x - 1) / 2,
+        row_px=placed[:, 1] * y + (y - 1) / 2,
+        lx_px=placed[:, 2] * x,
+        ly_px=placed[:, 3] * y,
+        wx_px=placed[:, 4] * x,
+        wy_px=placed[:, 5] * y,
+        area_px=found[:, 3] * x * y,
+        red=found[:, 0],
+        green=found[:, 1],
+        blue=found[:, 2],
+        contrast=found[:, 4],
         score=boxes[:, 4],
         flags=flags.astype(np.int32),
     )

@@ -29,7 +29,7 @@ class Sightings:
 
 @dataclass(frozen=True, eq=False)
 class Chains:
-    """Vehicles at several frames: ``frames`` and ``rows`` (m, links) say which sightings, ``lines`` (m, links, 2) where."""
+    """Vehicles at several frames: ``frames``, ``rows`` (m, links) say which sightings, ``lines`` (m, links, 2) where."""
 
     frames: NDArray[np.int64]
     rows: NDArray[np.int64]
@@ -55,7 +55,9 @@ def find_chains(
         members = order[first + step * np.arange(links)]
         parts = [frames[i] for i in members]
         starts = np.cumsum([0, *(len(part.xy) for part in parts)])
-        xy, axis, colour = (np.concatenate([getattr(part, name) for part in parts]) for name in ("xy", "axis", "colour"))
+        xy, axis, colour = (
+            np.concatenate([getattr(part, name) for part in parts]) for name in ("xy", "axis", "colour")
+        )
         rows = _chains(xy, axis, colour, starts, times_s[members], limits)
         where.append(np.broadcast_to(members, rows.shape))
         which.append(rows)
@@ -99,7 +101,11 @@ def _chains(xy, axis, colour, starts, times, limits):  # type: ignore[no-untyped
                     away = np.hypot(ex, ey)
                     # Speed may change along the way, the way itself is straight.
                     aside = abs(ex * vy - ey * vx) / speed
-                    if away <= nearest and aside <= miss and _fits(last, n, vx / speed, vy / speed, axis, colour, colour_limit):
+                    if (
+                        away <= nearest
+                        and aside <= miss
+                        and _fits(last, n, vx / speed, vy / speed, axis, colour, colour_limit)
+                    ):
                         best, nearest = n, away
                 if best < 0:
                     complete = False
@@ -120,7 +126,4 @@ def _fits(i, j, x, y, axis, colour, limit):  # type: ignore[no-untyped-def]
     """Whether both boxes point along (x, y), within 25 degrees, and have one colour."""
     if abs(axis[i, 0] * x + axis[i, 1] * y) < 0.906 or abs(axis[j, 0] * x + axis[j, 1] * y) < 0.906:
         return False
-    for k in range(3):
-        if abs(colour[i, k] - colour[j, k]) > limit:
-            return False
-    return True
+    return np.abs(colour[i] - colour[j]).max() <= limit

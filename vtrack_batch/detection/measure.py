@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from vtrack_batch.background.exposure import GAIN_SHIFT
 from vtrack_batch.background.subtract import GROUND, UNSEEN
@@ -13,8 +12,8 @@ _CORE = 0.85
 
 
 @njit(cache=True, nogil=True)
-def measure(picture, ground, classes, evidence, levels, gain, boxes):  # type: ignore[no-untyped-def]
-    """Return the boxes (n, 6), refined, and for each (n, 7): red, green, blue, area in px, contrast, touches, unseen.
+def measure(picture, ground, classes, levels, gain, boxes):  # type: ignore[no-untyped-def]
+    """Return for each box (n, 7): red, green, blue, area in px, contrast, reaches over the border, holds unseen ground.
 
     *boxes* are column, row, and the half axes along (x, y) and across (x, y) in px. Colour is the median over the inner
     pixels that differ from the ground, so windscreens and rims hardly count.
@@ -54,7 +53,7 @@ def measure(picture, ground, classes, evidence, levels, gain, boxes):  # type: i
         found[n, 4] = total / max(1, inside)
         for k in range(3):
             found[n, k] = _median(histogram[k])
-    return boxes.copy(), found
+    return found
 
 
 @njit(cache=True, nogil=True)

@@ -10,15 +10,21 @@ from vtrack_batch.model.params import Params
 class DetectionParams(Params):
     """How vehicles are found in the difference of a frame from the background."""
 
-    grid_m: float = Field(0.29, gt=0, description="finest ground distance worked on; finer frames are reduced to about it")
+    grid_m: float = Field(
+        0.29, gt=0, description="finest ground distance worked on; finer frames are reduced to about it"
+    )
     threshold_levels: float = Field(12.0, gt=0, description="difference beyond the tolerance that gives half evidence")
-    gain_tile_m: float = Field(24.0, gt=0, description="distance of the nodes of the smooth gain between frame and ground")
+    gain_tile_m: float = Field(
+        24.0, gt=0, description="distance of the nodes of the smooth gain between frame and ground"
+    )
     sizes_m: tuple[tuple[float, float], ...] = Field(
         ((4.4, 1.8), (5.6, 2.1), (7.0, 2.4), (8.5, 2.5), (10.2, 2.5), (12.2, 2.5), (14.5, 2.5), (17.0, 2.6)),
         min_length=1,
         description="length and width of the boxes that are fitted, ascending",
     )
-    directions: int = Field(12, ge=2, le=60, description="directions of boxes that are tried, evenly spread over 180 degrees")
+    directions: int = Field(
+        12, ge=2, le=60, description="directions of boxes that are tried, evenly spread over 180 degrees"
+    )
     seed_step_m: float = Field(0.6, gt=0, description="distance of the places at which boxes are tried")
     rim_m: float = Field(0.45, gt=0, description="distance from the box of the rim that should be free")
     rim_weight: float = Field(0.7, ge=0, description="what a wholly occupied rim takes from a box's score")
@@ -27,13 +33,19 @@ class DetectionParams(Params):
     shadow_reach_m: float = Field(1.2, gt=0, description="length of cast shadow that is looked for")
     weak_score: float = Field(0.5, gt=0, le=1, description="least score of a candidate on a known road")
     strict_score: float = Field(0.60, gt=0, le=1.5, description="least score of a candidate anywhere")
-    visible_share: float = Field(0.6, gt=0, le=1, description="least share of a box inside the frame and on seen ground")
-    chain_score: float = Field(0.55, gt=0, le=1.5, description="least score of a candidate in a chain that teaches the road")
+    visible_share: float = Field(
+        0.6, gt=0, le=1, description="least share of a box inside the frame and on seen ground"
+    )
+    chain_score: float = Field(
+        0.55, gt=0, le=1.5, description="least score of a candidate in a chain that teaches the road"
+    )
     chain_links: int = Field(4, ge=3, description="sightings in a chain that teaches the road")
     chain_interval_s: float = Field(0.5, gt=0, description="least time between sightings of a chain")
     chain_speed_mps: float = Field(3.0, gt=0, description="least speed of a chain")
     slow_chain_links: int = Field(6, ge=3, description="sightings in a chain of slow vehicles that teaches the road")
-    slow_chain_speed_mps: float = Field(1.5, gt=0, description="least speed of a slow chain: roofs seem to drift slower")
+    slow_chain_speed_mps: float = Field(
+        1.5, gt=0, description="least speed of a slow chain: roofs seem to drift slower"
+    )
     fastest_mps: float = Field(60.0, gt=0, description="highest speed of a chain")
     chain_miss_m: float = Field(1.0, gt=0, description="most that a sighting may miss its chain by, sideways")
     chain_accel_mps2: float = Field(2.5, ge=0, description="acceleration that a chain may show")

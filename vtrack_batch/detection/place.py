@@ -61,7 +61,9 @@ def learn_place(
     ``fewest_chains`` chains the place counts as not learned.
     """
     strict = [np.nonzero(found.score >= params.chain_score)[0] for found in candidates]
-    seen = [_sightings(f.take(rows), pose, metres_per_px) for f, rows, pose in zip(candidates, strict, poses, strict=True)]
+    seen = [
+        _sightings(f.take(rows), pose, metres_per_px) for f, rows, pose in zip(candidates, strict, poses, strict=True)
+    ]
     times = np.asarray(times_s, float)
     kinds = ((params.chain_links, params.chain_speed_mps), (params.slow_chain_links, params.slow_chain_speed_mps))
     chains = [find_chains(seen, times, links=links, least_mps=least, params=params) for links, least in kinds]

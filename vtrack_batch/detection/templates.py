@@ -64,7 +64,9 @@ def _shades(
     if shadow is None:
         return np.zeros((len(params.sizes_m), 2))
     on_ground = np.array(shadow) / np.array(px_per_m)
-    longest = params.shadow_reach_m * np.array([_LORRY_REACH if width > _LORRY_WIDTH_M else _CAR_REACH for _, width in params.sizes_m])
+    longest = params.shadow_reach_m * np.array(
+        [_LORRY_REACH if width > _LORRY_WIDTH_M else _CAR_REACH for _, width in params.sizes_m]
+    )
     return np.asarray(longest[:, None] * (np.array(shadow) / np.linalg.norm(on_ground)))
 
 
@@ -120,9 +122,7 @@ def _grid(along: NDArray[np.float64], across: NDArray[np.float64]) -> NDArray[np
     return np.stack(np.meshgrid(along, across, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
-def _pixels(
-    points: NDArray[np.float64], axis: NDArray[np.float64], px_per_m: tuple[float, float]
-) -> NDArray[np.int32]:
+def _pixels(points: NDArray[np.float64], axis: NDArray[np.float64], px_per_m: tuple[float, float]) -> NDArray[np.int32]:
     x = points[:, 0] * axis[0] - points[:, 1] * axis[1]
     y = points[:, 0] * axis[1] + points[:, 1] * axis[0]
     return np.stack([np.rint(y * px_per_m[1]), np.rint(x * px_per_m[0])], axis=1).astype(np.int32)

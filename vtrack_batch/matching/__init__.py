@@ -9,12 +9,13 @@ a probability each, and those that disappeared or appeared. No history, no train
 3. ``relaxation``: the paper's methods (a) original, (b) colour, (c) opposite, (d) proposed, as printed, eq. 15-24.
 4. ``neighbours``: the default. The motion of vehicles of the same stream is the prior of a displacement; evidence keeps
    its weight through all rounds, where the printed relaxation forgets it.
-5. ``decision``: argmax, mutual choice, or the best one-to-one set.
-6. ``match``: puts these together.
+5. ``flow``: a flow map of the place, if one was learned, replaces the prior of displacements.
+6. ``decision``: argmax, mutual choice, or the best one-to-one set.
+7. ``match``: puts these together.
 
-Source: T. Fuse and E. Shimizu, "A New Technique for Vehicle Tracking on the Assumption of Stratospheric Platforms"; S. T.
-Barnard and W. B. Thompson, "Disparity Analysis of Images", IEEE PAMI 2 (1980). The reach D and the tolerance T of the
-paper are pixels at 1.5 s; here they are speeds times the interval, with a least value for the noise of positions.
+Source: T. Fuse and E. Shimizu, "A New Technique for Vehicle Tracking on the Assumption of Stratospheric Platforms"; S.
+T. Barnard and W. B. Thompson, "Disparity Analysis of Images", IEEE PAMI 2 (1980). The reach D and the tolerance T of
+the paper are pixels at 1.5 s; here they are speeds times the interval, with a least value for the noise of positions.
 
 Assumptions: coordinates are metres on flat ground; vehicles beside one another on one stream move alike; detections are
 at most one per vehicle. Cost: vehicles x candidates x neighbours of the same stream; 50 vehicles a few milliseconds.

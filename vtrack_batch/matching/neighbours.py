@@ -92,7 +92,7 @@ def _against_rivals(edges: Edges, log_odds: Array) -> Array:
 
 
 def find_votes(owner: Index, displacement: Array, xy: Array, spread: float, params: NeighbourParams) -> Votes:
-    """Find, once, which edges speak for which: those of owners in the same stream, with nearly the same displacement."""
+    """Find which edges speak for which: those of owners in the same stream, with nearly the same displacement."""
     if not len(owner):
         return Votes(np.zeros(1, np.int64), np.zeros(0, np.int32), np.zeros(0, np.float32), np.zeros(0))
     a, b = pairs_within(xy, xy, CUT * params.along_m, p=2, limit=50_000_000)

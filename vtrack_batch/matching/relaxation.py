@@ -57,8 +57,9 @@ def relax(
     from_q = support(edges.k, edges.displacement, later_xy, tolerance, params) if two_way else None
     p, q, p_none, q_none = labels.p, labels.q, labels.p_none, labels.q_none
     a, b, c = params.a_delay, params.b_neighbours, params.c_opposite if two_way else 0.0
-    done = 0
-    for done in range(1, params.iterations + 1):
+    done, change = 0, np.inf
+    while done < params.iterations and change >= params.stop_change:
+        done += 1
         new_p = p * (a + b * _supported(from_p.start, from_p.by, p) + c * q)
         new_p, new_p_none = _normalised(new_p, p_none, edges.i)
         change = _largest_change(new_p, p)
@@ -68,8 +69,6 @@ def relax(
             change = max(change, _largest_change(new_q, q))
             q = new_q
         p, p_none = new_p, new_p_none
-        if change < params.stop_change:
-            break
     return Labels(p, q, p_none, q_none, done)
 
 

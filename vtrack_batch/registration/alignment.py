@@ -8,8 +8,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
+from vtrack_batch.model import homography
 from vtrack_batch.registration.coarse import Guess, pose_by_features, pose_by_flow
 from vtrack_batch.registration.params import RegistrationParams
 from vtrack_batch.registration.patches import Search, Sightings, find_patches
@@ -98,7 +100,7 @@ def _refined(plane: Grey, reference: Reference, guess: Guess, params: Registrati
         return None
     better = Guess(mended[0].matrix, mended[0].residual_px)
     final = _fitted(plane, reference, better, every, params=params)
-    return None if final is None else _judged(*final, reference, params)
+    return None if final is None else _judged(*final, plane.shape, reference, params)
 
 
 def _fitted(
@@ -115,7 +117,13 @@ def _fitted(
     return None if pose is None else (pose, sightings)
 
 
-def _judged(pose: Pose, sightings: Sightings, reference: Reference, params: RegistrationParams) -> _Trial:
+def _judged(
+    pose: Pose,
+    sightings: Sightings,
+    plane_shape: tuple[int, ...],
+    reference: Reference,
+    params: RegistrationParams,
+) -> _Trial:
     """Measure how many of the patches that the frame should show bear the *pose* out, and over how much of it."""
     found, visible = sightings.found, sightings.visible
     length = np.full(len(found), np.inf)
@@ -130,8 +138,17 @@ def _judged(pose: Pose, sightings: Sightings, reference: Reference, params: Regi
         pose,
         confirmed_share=float(confirmed[checked].mean()) if checked.any() else 0.0,
         coverage_share=float((shown * (vouched & (borne_out > 0))).sum() / max(1, shown.sum())),
-        overlap_share=float(visible.mean()),
+        overlap_share=_overlap_share(pose.matrix, plane_shape, reference),
     )
+
+
+def _overlap_share(frame_to_reference: NDArray[np.float64], shape: tuple[int, ...], reference: Reference) -> float:
+    """Return the share of the reference frame that the frame of *shape* shows."""
+    shown = shapely.Polygon(homography.apply(frame_to_reference, homography.corners(shape[1], shape[0])))
+    if not shown.is_valid:
+        return 0.0
+    whole = shapely.Polygon(homography.corners(reference.shape[1], reference.shape[0]))
+    return float(shown.intersection(whole).area / whole.area)
 
 
 def _cell_of(reference: Reference) -> NDArray[np.int64]:

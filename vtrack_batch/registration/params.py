@@ -39,7 +39,7 @@ class RegistrationParams(Params):
         0.65, ge=0.0, le=1.0, description="smallest share of the overlap (in cells) that found patches vouch for"
     )
     min_overlap_share: float = Field(
-        0.3, ge=0.0, le=1.0, description="smallest share of the reference's patches that the frame must show"
+        0.3, ge=0.0, le=1.0, description="smallest share of the reference frame that the frame must show"
     )
     min_contrast: float = Field(
         2.0, ge=0.0, le=128.0, description="standard deviation of grey values below which a frame is blank"

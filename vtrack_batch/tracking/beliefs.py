@@ -8,7 +8,7 @@ A link's message never holds the link itself.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -20,14 +20,14 @@ FAINT = 1e-3  # ways less likely than this are left out
 LOG_ODDS_MAX = 30.0
 
 
-@dataclass(frozen=True)
-class Graph:
-    """Sightings and the possible links between them.
+class Graph(NamedTuple):
+    """Sightings and the possible links between them (a named tuple, because compiled code reads it).
 
-    ``i``, ``k`` (e,) int64; ``log_alone`` (e,) log density (1/m2) of the displacement when nothing is known of the motion
-    on either side; ``log_odds`` (e,) all of a link's log-odds but motion and colour. Sightings: ``t`` (n,) s, ``xy`` (n, 2)
-    m, ``variance`` (n,) m2, ``paint`` (n, 3) in opponent axes, ``log_paint`` (n,) its log density; ``noise`` of colours,
-    empty = no colour; ``motion``: q, factor and share of rough driving, sigma of unknown speed, most trust in a way.
+    ``i``, ``k`` (e,) int64; ``log_alone`` (e,) log density (1/m2) of the displacement when nothing is known of the
+    motion on either side; ``log_odds`` (e,) all of a link's log-odds but motion and colour. Of sightings: ``t`` (n,) s,
+    ``xy`` (n, 2) m, ``variance`` (n,) m2, ``paint`` (n, 3) in opponent axes, ``log_paint`` (n,) its log density.
+    ``noise`` of colours, empty = no colour; ``motion``: q, factor and share of rough driving, sigma of unknown speeds,
+    greatest trust in a way, and for how many sightings a mean colour counts.
     """
 
     i: Index
@@ -43,36 +43,32 @@ class Graph:
     motion: Array
 
 
-@dataclass(frozen=True)
-class Messages:
-    """State and weight of every link as the way into (or, backward, out of) its far sighting."""
+class Ways(NamedTuple):
+    """Links by sighting: those into h are ``into[into_start[h]:into_start[h + 1]]``, those out of it likewise."""
+
+    into_start: Index
+    into: Index
+    out_start: Index
+    out: Index
+
+
+class Messages(NamedTuple):
+    """State and weight of every link as a way into (or, backward, out of) its far sighting; ``seen`` colours behind it."""
 
     weight: Array
     mean: Array
     cov: Array
     paint: Array
-    count: Array
+    seen: Array
 
 
 def link_gains(g: Graph) -> Array:
     """Return the log-odds (e,) of every possible link, by the past, the future, motion and colour."""
-    n = len(g.t)
-    into_start, into = _grouped(g.k, n)
-    out_start, out = _grouped(g.i, n)
     order = np.argsort(g.t, kind="stable")
-    past = Messages(*_messages(order, g.i, g.k, into_start, into, out_start, out, *_fields(g)))
-    future = Messages(*_messages(order[::-1].copy(), g.k, g.i, out_start, out, into_start, into, *_fields(g)))
-    return np.asarray(
-        _combined(
-            g.i, g.k, into_start, into, out_start, out, *_fields(g),
-            past.weight, past.mean, past.cov, past.paint, past.count,
-            future.weight, future.mean, future.cov, future.paint, future.count,
-        )
-    )  # fmt: skip
-
-
-def _fields(g: Graph) -> tuple[Array, ...]:
-    return g.log_alone, g.log_odds, g.t, g.xy, g.variance, g.paint, g.log_paint, g.noise, g.motion
+    into, out = _grouped(g.k, len(g.t)), _grouped(g.i, len(g.t))
+    past = _messages(order, g, Ways(*into, *out))
+    future = _messages(order[::-1].copy(), g._replace(i=g.k, k=g.i), Ways(*out, *into))
+    return np.asarray(_combined(g, Ways(*into, *out), past, future))
 
 
 def _grouped(owner: Index, n: int) -> tuple[Index, Index]:
@@ -143,139 +139,117 @@ def _updated(mean, cov, dt, x, y, variance, q, out_mean, out_cov):  # type: igno
 
 
 @njit(cache=True, nogil=True)
-def _messages(
-    order,
-    near,
-    far,
-    into_start,
-    into,
-    out_start,
-    out,
-    log_alone,
-    log_odds,
-    t,
-    xy,
-    variance,
-    paint,
-    log_paint,
-    noise,
-    motion,
-):  # type: ignore[no-untyped-def]  # noqa: E501
-    n_links = len(near)
-    weight, odds = np.zeros(n_links), np.zeros(n_links)
-    mean, cov = np.zeros((n_links, 4)), np.zeros((n_links, 3))
-    colour, count = np.zeros((n_links, 3)), np.ones(n_links)
-    sum_into, sum_out = np.zeros(len(t)), np.zeros(len(t))
-    start_mean, start_cov = np.zeros(4), np.zeros(3)
-    start_cov[2] = motion[3] ** 2
-    for h in order:
-        known = 0.0
-        for s in range(into_start[h], into_start[h + 1]):
-            e = into[s]
-            rivals = max(sum_into[h] - odds[e], 0.0) + max(sum_out[near[e]] - odds[e], 0.0)
-            weight[e] = motion[4] * odds[e] / (1 + odds[e] + rivals)
-            known += weight[e]
-        log_birth = np.log(max(1 - known, 1 - motion[4]))
-        start_mean[0], start_mean[1], start_cov[0] = xy[h, 0], xy[h, 1], variance[h]
-        for s in range(out_start[h], out_start[h + 1]):
-            e = out[s]
-            k, dt = far[e], t[far[e]] - t[h]
-            log_random = 0.5 * (log_paint[h] + log_paint[k])
-            best = log_birth + log_alone[e]
-            if len(noise):
-                best += log_same_paint(paint[h], paint[k], 2.0, log_random, noise)
-            total, best_way = best, -1
-            for r in range(into_start[h], into_start[h + 1]):
-                w = into[r]
-                if weight[w] < FAINT:
-                    continue
-                term = np.log(weight[w]) + _log_place(mean[w], cov[w], dt, xy[k, 0], xy[k, 1], variance[k], motion)
-                if len(noise):
-                    term += log_same_paint(colour[w], paint[k], 1 / count[w] + 1, log_random, noise)
-                total = _log_sum(total, term)
-                if term > best:
-                    best, best_way = term, w
-            odds[e] = np.exp(min(max(total + log_odds[e], -LOG_ODDS_MAX), LOG_ODDS_MAX))
-            sum_out[h] += odds[e]
-            sum_into[k] += odds[e]
-            if best_way < 0:
-                _updated(start_mean, start_cov, dt, xy[k, 0], xy[k, 1], variance[k], motion[0], mean[e], cov[e])
-                colour[e], count[e] = 0.5 * (paint[h] + paint[k]), 2.0
-            else:
-                w, n = best_way, min(count[best_way], motion[5])
-                _updated(mean[w], cov[w], dt, xy[k, 0], xy[k, 1], variance[k], motion[0], mean[e], cov[e])
-                colour[e], count[e] = (n * colour[w] + paint[k]) / (n + 1), n + 1
-    return weight, mean, cov, colour, count
+def _log_paint(g, i, k, first, second, variance):  # type: ignore[no-untyped-def]
+    """Log-likelihood ratio of two mean colours, at the sightings i and k; 0 without colour."""
+    if not len(g.noise):
+        return 0.0
+    return log_same_paint(first, second, variance, 0.5 * (g.log_paint[i] + g.log_paint[k]), g.noise)
 
 
 @njit(cache=True, nogil=True)
-def _combined(
-    near,
-    far,
-    into_start,
-    into,
-    out_start,
-    out,
-    log_alone,
-    log_odds,
-    t,
-    xy,
-    variance,
-    paint,
-    log_paint,
-    noise,
-    motion,
-    p_weight,
-    p_mean,
-    p_cov,
-    p_paint,
-    p_count,
-    f_weight,
-    f_mean,
-    f_cov,
-    f_paint,
-    f_count,
-):  # type: ignore[no-untyped-def]  # noqa: E501
-    gain = np.empty(len(near))
-    for e in range(len(near)):
-        i, k = near[e], far[e]
-        dt = t[k] - t[i]
-        log_random = 0.5 * (log_paint[i] + log_paint[k])
+def _messages(order, g, ways):  # type: ignore[no-untyped-def]
+    """Pass states along all links, sighting by sighting, each way weighted against its rivals at both ends."""
+    size = len(g.i)
+    m = Messages(np.zeros(size), np.zeros((size, 4)), np.zeros((size, 3)), np.zeros((size, 3)), np.ones(size))
+    odds, sum_into, sum_out = np.zeros(size), np.zeros(len(g.t)), np.zeros(len(g.t))
+    for h in order:
+        known = 0.0
+        for s in range(ways.into_start[h], ways.into_start[h + 1]):
+            e = ways.into[s]
+            rivals = max(sum_into[h] - odds[e], 0.0) + max(sum_out[g.i[e]] - odds[e], 0.0)
+            m.weight[e] = g.motion[4] * odds[e] / (1 + odds[e] + rivals)
+            known += m.weight[e]
+        log_birth = np.log(max(1 - known, 1 - g.motion[4]))
+        for s in range(ways.out_start[h], ways.out_start[h + 1]):
+            e = ways.out[s]
+            total, way = _best_way(e, log_birth, g, ways, m)
+            _write_state(e, way, g, m)
+            odds[e] = np.exp(min(max(total + g.log_odds[e], -LOG_ODDS_MAX), LOG_ODDS_MAX))
+            sum_out[h] += odds[e]
+            sum_into[g.k[e]] += odds[e]
+    return m
+
+
+@njit(cache=True, nogil=True)
+def _best_way(e, log_birth, g, ways, m):  # type: ignore[no-untyped-def]
+    """Sum over the ways into link *e*, birth included; returns the log sum and the best way, -1 = birth."""
+    h, k = g.i[e], g.k[e]
+    dt, x, y = g.t[k] - g.t[h], g.xy[k, 0], g.xy[k, 1]
+    best = log_birth + g.log_alone[e] + _log_paint(g, h, k, g.paint[h], g.paint[k], 2.0)
+    total, way = best, -1
+    for s in range(ways.into_start[h], ways.into_start[h + 1]):
+        w = ways.into[s]
+        if m.weight[w] < FAINT:
+            continue
+        term = np.log(m.weight[w]) + _log_place(m.mean[w], m.cov[w], dt, x, y, g.variance[k], g.motion)
+        term += _log_paint(g, h, k, m.paint[w], g.paint[k], 1 / m.seen[w] + 1)
+        total = _log_sum(total, term)
+        if term > best:
+            best, way = term, w
+    return total, way
+
+
+@njit(cache=True, nogil=True)
+def _write_state(e, way, g, m):  # type: ignore[no-untyped-def]
+    """Write the state at the far end of link *e* of a vehicle that came by *way*, or was born at the near end."""
+    h, k = g.i[e], g.k[e]
+    dt, x, y = g.t[k] - g.t[h], g.xy[k, 0], g.xy[k, 1]
+    if way < 0:
+        mean, cov = np.zeros(4), np.zeros(3)
+        mean[0], mean[1] = g.xy[h, 0], g.xy[h, 1]
+        cov[0], cov[2] = g.variance[h], g.motion[3] ** 2
+        _updated(mean, cov, dt, x, y, g.variance[k], g.motion[0], m.mean[e], m.cov[e])
+        m.paint[e], m.seen[e] = 0.5 * (g.paint[h] + g.paint[k]), 2.0
+    else:
+        _updated(m.mean[way], m.cov[way], dt, x, y, g.variance[k], g.motion[0], m.mean[e], m.cov[e])
+        n = min(m.seen[way], g.motion[5])
+        m.paint[e], m.seen[e] = (n * m.paint[way] + g.paint[k]) / (n + 1), n + 1
+
+
+@njit(cache=True, nogil=True)
+def _combined(g, ways, past, future):  # type: ignore[no-untyped-def]
+    """Log-odds of every link: the sum over ways into its near end and out of its far end, none included on each."""
+    gain = np.empty(len(g.i))
+    for e in range(len(g.i)):
+        i, k = g.i[e], g.k[e]
         no_past, no_future = 1.0, 1.0
-        for r in range(into_start[i], into_start[i + 1]):
-            no_past -= p_weight[into[r]]
-        for r in range(out_start[k], out_start[k + 1]):
-            no_future -= f_weight[out[r]]
-        log_no_past, log_no_future = np.log(max(no_past, 1 - motion[4])), np.log(max(no_future, 1 - motion[4]))
-        total = log_no_past + log_no_future + log_alone[e]
-        if len(noise):
-            total += log_same_paint(paint[i], paint[k], 2.0, log_random, noise)
-        for r in range(into_start[i], into_start[i + 1]):
-            a = into[r]
-            if p_weight[a] < FAINT:
+        for s in range(ways.into_start[i], ways.into_start[i + 1]):
+            no_past -= past.weight[ways.into[s]]
+        for s in range(ways.out_start[k], ways.out_start[k + 1]):
+            no_future -= future.weight[ways.out[s]]
+        no_past, no_future = max(no_past, 1 - g.motion[4]), max(no_future, 1 - g.motion[4])
+        total = np.log(no_past * no_future) + g.log_alone[e] + _log_paint(g, i, k, g.paint[i], g.paint[k], 2.0)
+        for s in range(ways.into_start[i], ways.into_start[i + 1]):
+            a = ways.into[s]
+            if past.weight[a] >= FAINT:
+                total = _log_sum(total, _by_past(e, a, no_future, g, ways, past, future))
+        for s in range(ways.out_start[k], ways.out_start[k + 1]):
+            b = ways.out[s]
+            if future.weight[b] < FAINT:
                 continue
-            log_a = np.log(p_weight[a])
-            term = log_a + log_no_future + _log_place(p_mean[a], p_cov[a], dt, xy[k, 0], xy[k, 1], variance[k], motion)
-            if len(noise):
-                term += log_same_paint(p_paint[a], paint[k], 1 / p_count[a] + 1, log_random, noise)
+            at = g.xy[i]
+            term = np.log(future.weight[b] * no_past) + _log_paint(
+                g, i, k, future.paint[b], g.paint[i], 1 / future.seen[b] + 1
+            )
+            dt = g.t[i] - g.t[k]
+            term += _log_place(future.mean[b], future.cov[b], dt, at[0], at[1], g.variance[i], g.motion)
             total = _log_sum(total, term)
-            for q in range(out_start[k], out_start[k + 1]):
-                b = out[q]
-                if p_weight[a] * f_weight[b] < FAINT:
-                    continue
-                term = log_a + np.log(f_weight[b]) + _log_meet(p_mean[a], p_cov[a], dt, f_mean[b], f_cov[b], motion)
-                if len(noise):
-                    spread = 1 / p_count[a] + 1 / f_count[b]
-                    term += log_same_paint(p_paint[a], f_paint[b], spread, log_random, noise)
-                total = _log_sum(total, term)
-        for q in range(out_start[k], out_start[k + 1]):
-            b = out[q]
-            if f_weight[b] < FAINT:
-                continue
-            term = np.log(f_weight[b]) + log_no_past
-            term += _log_place(f_mean[b], f_cov[b], -dt, xy[i, 0], xy[i, 1], variance[i], motion)
-            if len(noise):
-                term += log_same_paint(f_paint[b], paint[i], 1 / f_count[b] + 1, log_random, noise)
-            total = _log_sum(total, term)
-        gain[e] = total + log_odds[e]
+        gain[e] = total + g.log_odds[e]
     return gain
+
+
+@njit(cache=True, nogil=True)
+def _by_past(e, a, no_future, g, ways, past, future):  # type: ignore[no-untyped-def]
+    """Log-likelihood of link *e* for a vehicle that came by *a*: with no future, or any of the ways on."""
+    i, k = g.i[e], g.k[e]
+    dt, mean, cov = g.t[k] - g.t[i], past.mean[a], past.cov[a]
+    total = np.log(no_future) + _log_place(mean, cov, dt, g.xy[k, 0], g.xy[k, 1], g.variance[k], g.motion)
+    total += _log_paint(g, i, k, past.paint[a], g.paint[k], 1 / past.seen[a] + 1)
+    for s in range(ways.out_start[k], ways.out_start[k + 1]):
+        b = ways.out[s]
+        if past.weight[a] * future.weight[b] < FAINT:
+            continue
+        term = np.log(future.weight[b]) + _log_meet(mean, cov, dt, future.mean[b], future.cov[b], g.motion)
+        term += _log_paint(g, i, k, past.paint[a], future.paint[b], 1 / past.seen[a] + 1 / future.seen[b])
+        total = _log_sum(total, term)
+    return np.log(past.weight[a]) + total

@@ -1,4 +1,4 @@
-"""Which sighting can be the next of which: between successive frames, and over misses from where a vehicle is headed."""
+"""Which sighting can be the next of which: between successive frames, and over misses where a vehicle is headed."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def pair_links(
 ) -> Links:
     """Match successive frames without history, by colour and the neighbours' motion; keep what is not hopeless.
 
-    *log_colour* (n,) is the log density of each sighting's colour in the sequence; *every* > 1 takes a sample of frames.
+    *log_colour* (n,) is the log density of each sighting's colour in the sequence; *every* > 1 takes a sample.
     """
     found = []
     for f in range(0, len(s.frame_s) - 1, every):

@@ -59,7 +59,7 @@ class Scene:
 
 def link(s: Sightings, matching: MatchingParams, params: TrackingParams, flow_map: FlowMap | None = None) -> Chains:
     """Return the chains of one sequence."""
-    limit_s = max(params.link.coast_s, (params.link.coast_frames + 1.05) * s.interval_s)
+    limit_s = max(params.link.coast_s, (params.link.coast_frames + 1) * s.interval_s) + 0.05 * s.interval_s
     density = np.log(local_density(s.first, s.frame, s.xy, DENSITY_RADIUS_M))
     scene = _repainted(Scene(s, density, limit_s, matching, params), matching.colour.wide())
     if s.rgb is not None:

@@ -21,8 +21,8 @@ class MotionParams(Params):
 class LinkParams(Params):
     """How sightings become chains."""
 
-    coast_s: float = Field(4.5, ge=0, description="a vehicle may stay unseen for this long")
-    coast_frames: int = Field(3, ge=0, description="but always for this many frames")
+    coast_s: float = Field(6.0, ge=0, description="a vehicle may stay unseen for this long")
+    coast_frames: int = Field(2, ge=0, description="but always for this many frames")
     gate_sigmas: float = Field(4.0, gt=0, description="partners are sought within this many standard deviations")
     missed_share: float = Field(0.12, gt=0, lt=1, description="prior share of sightings that the detector misses")
     break_share: float = Field(0.05, gt=0, lt=1, description="prior share of sightings that begin, or end, a track")

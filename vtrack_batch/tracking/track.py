@@ -44,9 +44,9 @@ def track(
 
     *detections* holds ``detection_id``, ``t_utc`` (with time zone), ``x_m``, ``y_m`` and may hold ``sequence``,
     ``red, green, blue``, ``length_m``, ``width_m``; rows in any order. *views* tells times and footprints of all
-    frames, also of those without detections; without it the frames are the times of the detections. *method* ``default`` chains
-    over the whole sequence; the names of pair matchers chain their links without prediction. Columns that are missing,
-    values that are missing or infinite, and repeated ids raise ``UnusableData``.
+    frames, also of those without detections; without it the frames are the times of the detections. *method*
+    ``default`` chains over the whole sequence; the names of pair matchers chain their links without prediction.
+    Columns that are missing, values that are missing or infinite, and repeated ids raise ``UnusableData``.
     """
     matching, params = matching or MatchingParams(), params or TrackingParams()
     chosen = matching.method if method == "default" else method
