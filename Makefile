@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: help demo test check format docs lock clean
+.PHONY: help demo test check format docs accuracy lock clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -43,6 +43,9 @@ format: $(VENV)/dev ## format the code
 
 docs: $(VENV)/dev ## write what is made from the code: configs/example.yaml, docs/reference
 	$(BIN)/python -m vtrack_batch.cli.reference
+
+accuracy: $(VENV)/runtime ## measure against every truth at hand, write docs/accuracy.md
+	$(BIN)/python benchmarks/accuracy.py
 
 lock: ## resolve the lock files anew (needs uv)
 	uv pip compile pyproject.toml --universal --generate-hashes --no-annotate --no-header --python-version 3.11 -o requirements.lock --upgrade

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import json
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
 import pytest
 from click.testing import CliRunner
+from PIL import Image
 
-from vtrack_batch.cli import COMMANDS, group
+from vtrack_batch.cli import COMMANDS, group, options
 from vtrack_batch.model.tables import TABLES
 
 HEAVY = ("numpy", "pandas", "cv2", "pyarrow", "pydantic", "scipy", "numba", "matplotlib", "rasterio", "ruamel")
@@ -63,6 +68,7 @@ def test_a_misspelt_command_is_suggested() -> None:
         (("run", "empty.yaml"), 66),
         (("run", "unmounted.yaml"), 66),
         (("run", "wrong.yaml"), 78),
+        (("init", "site", "--from", "nowhere"), 66),
         (("match", "a.parquet", "b.parquet", "--out", "o"), 78),
     ],
 )
@@ -89,3 +95,56 @@ def test_init_writes_a_survey_that_check_accepts_once_there_are_frames(tmp_path:
     assert again.returncode == 78
     assert "exists already" in again.stderr
     assert vtrack("check", "site/survey.yaml", cwd=tmp_path).returncode == 66
+
+
+def test_check_tells_by_its_code_that_the_ground_cannot_be_found(tmp_path: Path) -> None:
+    (tmp_path / "frames").mkdir()
+    Image.fromarray(np.zeros((40, 60, 3), np.uint8)).save(tmp_path / "frames" / "20260517T060000Z.png")
+    (tmp_path / "survey.yaml").write_text("georeference: {source: world_file}\n")
+    told = vtrack("check", "survey.yaml", "--json", cwd=tmp_path)
+    assert told.returncode == 78
+    assert "world_file" in json.loads(told.stdout)["problems"][0]
+
+
+def test_check_tells_of_frames_taken_at_one_time(tmp_path: Path) -> None:
+    (tmp_path / "frames").mkdir()
+    for name in ("a_20260517T060000Z.png", "b_20260517T060000Z.png", "a_20260517T060001Z.png"):
+        Image.fromarray(np.zeros((40, 60, 3), np.uint8)).save(tmp_path / "frames" / name)
+    (tmp_path / "survey.yaml").write_text("georeference: {gsd_m: 0.3}\n")
+    told = vtrack("check", "survey.yaml", "--json", cwd=tmp_path)
+    assert told.returncode == 0
+    assert [text for text in json.loads(told.stdout)["problems"] if text.startswith("2 files share their time")]
+
+
+def test_answers_in_json_are_json(capsys: pytest.CaptureFixture[str]) -> None:
+    when = pd.Timestamp("2026-05-17T06:00:00Z")
+    given = {
+        "n": np.int32(7),
+        "x": np.float64("nan"),
+        "t": when,
+        "none": [pd.NaT, pd.NA, float("inf")],
+        "of": Path("a"),
+    }
+    options.answer(given, "", as_json=True)
+    found = json.loads(capsys.readouterr().out, parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
+    assert found == {"n": 7, "x": None, "t": "2026-05-17T06:00:00+00:00", "none": [None, None, None], "of": "a"}
+
+
+def test_a_stop_by_the_system_unwinds() -> None:
+    code = (
+        "import sys, time\n"
+        "from vtrack_batch import cli\n"
+        "def wait(arguments):\n"
+        "    try:\n"
+        "        print('ready', flush=True); time.sleep(60)\n"
+        "    finally:\n"
+        "        print('tidied', flush=True)\n"
+        "cli._outcome = wait\n"
+        "cli.main()\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        process.send_signal(signal.SIGTERM)
+        assert process.stdout.read() == "tidied\n"
+    assert process.returncode == 143

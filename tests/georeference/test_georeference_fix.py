@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from vtrack_batch.errors import ConfigError
 from vtrack_batch.georeference.fix import WorldFile, find_fix, scale_at
-from vtrack_batch.model.geotags import GeoTags
 from vtrack_batch.georeference.params import GeoreferenceParams
 from vtrack_batch.model import homography
+from vtrack_batch.model.geotags import GeoTags
 
 WIDTH, HEIGHT = 640, 360
 PLACES = np.array([[0.0, 0.0], [639, 0], [12.25, 300.5], [639, 359]])

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from vtrack_batch.errors import UnusableData
-from vtrack_batch.model.ground_grid import GroundGrid
 from vtrack_batch.georeference.ortho import orthorectify
 from vtrack_batch.model import homography
+from vtrack_batch.model.ground_grid import GroundGrid
 
 
 def to_ground(gsd_m, x=0.0, y=0.0):

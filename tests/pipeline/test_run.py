@@ -122,6 +122,43 @@ def test_a_changed_bin_redoes_the_traffic_only(archive: Path, golden: Path) -> N
     assert run(archive).done == {"detect": 0, "track": 0, "traffic": 1, "picture": 1}
 
 
+def test_former_parameters_are_published_again_without_work(archive: Path, golden: Path) -> None:
+    shutil.copytree(golden / "results", archive / "results", symlinks=True)
+    former, before = (archive / "survey.yaml").read_text(), tree((archive / "results" / "current").resolve())
+    assert prepare(vt.load_survey(archive / "survey.yaml")).up_to_date()
+    (archive / "survey.yaml").write_text(former + "traffic:\n  bin_s: 300\n")
+    run(archive)
+    (archive / "survey.yaml").write_text(former)
+    prepared = prepare(vt.load_survey(archive / "survey.yaml"))
+    assert not prepared.due
+    assert not prepared.up_to_date()
+    assert run(archive).published
+    assert tree((archive / "results" / "current").resolve()) == before
+
+
+def test_force_does_a_step_and_what_follows_again(archive: Path, golden: Path) -> None:
+    shutil.copytree(golden / "results", archive / "results", symlinks=True)
+    due = prepare(vt.load_survey(archive / "survey.yaml"), force="traffic").due
+    assert [(d.piece.step, d.reason) for d in due] == [("traffic", "forced"), ("picture", "forced")]
+    report = run(archive, force="traffic")
+    assert report.done == {"detect": 0, "track": 0, "traffic": 1, "picture": 1}
+    assert not report.published, "the same bytes again"
+
+
+def test_frames_outside_the_period_are_set_aside_but_no_loss(archive: Path) -> None:
+    text = (archive / "survey.yaml").read_text()
+    (archive / "survey.yaml").write_text(text.replace("survey:\n", 'survey:\n  end: "2026-05-17T06:00:15Z"\n'))
+    report = run(archive)
+    assert (report.exit_code, report.frames_used, report.frames_quarantined) == (0, 10, 0)
+    assert len(vt.open_results(archive / "results")["quarantine"]) == 30
+
+
+def test_the_manifest_lists_every_table_file_with_its_hash(golden: Path) -> None:
+    snapshot = (golden / "results" / "current").resolve()
+    listed = json.loads((snapshot / "manifest.json").read_text())["files"]
+    assert {place: about["sha256"] for place, about in listed.items() if place.endswith(".parquet")} == tree(snapshot)
+
+
 def test_a_bad_frame_is_set_aside_and_the_run_goes_on(archive: Path) -> None:
     frames = sorted((archive / "frames").iterdir())
     frames[10].write_bytes(frames[10].read_bytes()[: frames[10].stat().st_size // 2])
@@ -140,6 +177,20 @@ def test_a_bad_frame_is_set_aside_and_the_run_goes_on(archive: Path) -> None:
         frames[31].name: "geometry_changed",
     }
     assert report.frames_used == 35
+
+
+def test_a_sequence_that_begins_blank_is_not_passed_over_in_silence(archive: Path) -> None:
+    frames = sorted((archive / "frames").iterdir())
+    for path in frames[:5]:
+        path.write_bytes(cv2.imencode(".jpg", np.zeros((360, 640, 3), np.uint8))[1].tobytes())
+    with pytest.raises(UnusableData, match="5 blank, 35 no_site_frame"):
+        run(archive)
+    (archive / "survey.yaml").write_text(
+        (archive / "survey.yaml")
+        .read_text()
+        .replace("gsd_m: 0.33\n", f"gsd_m: 0.33\n  reference_frame: {frames[7].name}\n")
+    )
+    assert run(archive).frames_used == 35
 
 
 def test_nothing_usable_publishes_nothing(archive: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import sqlite3
 from pathlib import Path
 
 import pytest
@@ -40,6 +41,18 @@ def test_a_part_that_failed_leaves_nothing(output: Output) -> None:
     with pytest.raises(ZeroDivisionError):
         fail()
     assert output.part("detect", "k1") is None
+    assert not list((output.state / "staging").iterdir())
+
+
+def test_a_dropped_part_is_gone_and_can_be_made_again(output: Output) -> None:
+    for text in ("first", "second"):
+        output.drop_part("detect", "k1")
+        assert output.part("detect", "k1") is None
+        with output.new_part("detect", "k1", {}) as folder:
+            (folder / "x.txt").write_text(text)
+    part = output.part("detect", "k1")
+    assert part is not None
+    assert part.file("x.txt").read_text() == "second"
     assert not list((output.state / "staging").iterdir())
 
 
@@ -102,3 +115,16 @@ def test_a_damaged_hash_store_is_made_anew(tmp_path: Path) -> None:
     path = tmp_path / "files.sqlite"
     path.write_bytes(b"not a database" * 100)
     assert HashStore(path).fill([("a", 1, 10)], lambda name: "h") == {"a": "h"}
+
+
+def test_a_hash_store_in_use_elsewhere_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "files.sqlite"
+    store = HashStore(path)
+    store.fill([("a", 1, 10)], lambda name: "h")
+    connect = sqlite3.connect
+    monkeypatch.setattr(sqlite3, "connect", lambda place: connect(place, timeout=0.01))
+    holder = connect(path)
+    holder.execute("begin exclusive")
+    assert store.fill([("a", 1, 10)], lambda name: "again") == {"a": "again"}
+    holder.close()
+    assert store.fill([("a", 1, 10)], lambda name: "lost") == {"a": "h"}

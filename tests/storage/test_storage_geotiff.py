@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import struct
 
 import numpy as np
@@ -11,9 +12,9 @@ from rasterio.transform import Affine
 
 from vtrack_batch.errors import ConfigError, UnusableFrame
 from vtrack_batch.georeference.fix import find_fix
-from vtrack_batch.model.ground_grid import GroundGrid
 from vtrack_batch.georeference.params import GeoreferenceParams
 from vtrack_batch.model import homography
+from vtrack_batch.model.ground_grid import GroundGrid
 from vtrack_batch.storage.geotiff import merge_geotiffs, read_geotags, write_geotiff
 
 GRID = GroundGrid("EPSG:26913", 480_000.0, 4_301_000.0, 0.5, (30, 50))
@@ -100,6 +101,18 @@ class TestWriting:
         with pytest.raises(ValueError, match="fit"):
             write_geotiff(tmp_path / "a.tif", self.pixels, self.valid, GroundGrid(None, 0, 0, 0.5, (31, 50)))
         assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"old"]
+
+    def test_a_full_disk_is_an_error_and_leaves_nothing(self, tmp_path):
+        room, most = resource.getrlimit(resource.RLIMIT_FSIZE)
+        noise = np.random.default_rng(1).integers(0, 255, (600, 600, 3), np.uint8)
+        grid = GroundGrid(None, 0.0, 0.0, 0.5, (600, 600))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, most))
+        try:
+            with pytest.raises(OSError, match=r"a\.tif|disk"):
+                write_geotiff(tmp_path / "a.tif", noise, np.ones((600, 600), bool), grid)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (room, most))
+        assert not list(tmp_path.iterdir())
 
 
 class TestMerging:

@@ -17,6 +17,9 @@ from vtrack_batch.archive.times import Findings, KnownFile, TimeSource, has_exte
 from vtrack_batch.archive.walk import File, walk
 from vtrack_batch.errors import ConfigError, NoArchive
 
+OUT_OF_PERIOD = "time_out_of_range"
+"""Reason of frames outside the survey's own start and end: set aside as asked, so no loss."""
+
 _FILE_COLUMNS = ("path", "name", "size_bytes", "mtime_ns", "platform", "stamp", "t_utc", "sha256")
 
 
@@ -131,7 +134,7 @@ def _inside(files: pd.DataFrame, period: Period, findings: Findings) -> pd.DataF
     late = files["t_utc"] >= period.end if period.end is not None else pd.Series(False, files.index)
     for mask, text in ((early, "before survey.start"), (late, "not before survey.end")):
         for path, t_utc in files.loc[mask, ["path", "t_utc"]].itertuples(index=False):
-            findings.refused.append((path, "time_out_of_range", f"{t_utc.isoformat()} lies {text}"))
+            findings.refused.append((path, OUT_OF_PERIOD, f"{t_utc.isoformat()} lies {text}"))
     return files[~(early | late)].reset_index(drop=True)
 
 

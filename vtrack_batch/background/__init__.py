@@ -10,8 +10,9 @@ Steps of ``learn.learn_background``
    smooth gain (drifting cloud shade). Both rest on medians over flat ground, so vehicles do not steer them.
 2. ``ranks``: samples are warped once, strip by strip, and their exact temporal median is taken by a pruned sorting
    network of byte-wise minima and maxima. Ground that a sample does not cover votes for neither side.
-3. ``mode``: where a place is occupied so often that the median is doubtful (stop lines), the half-sample mode of the
-   samples replaces it: vehicles differ in colour, the road does not.
+3. ``mode``: where a place is occupied so often that the median is doubtful (stop lines), samples that look like the
+   trafficked ground nearby replace it; where none does, the half-sample mode: vehicles differ in colour, the road does
+   not.
 4. Tolerance: a share of the local range of grey levels (a frame is never registered perfectly) plus the spread over
    time that most samples show (trees, water, roofs seen from another side).
 5. ``shadow``: the ratio by which cast shadows darken the ground, and on which side of a vehicle they lie.
@@ -23,7 +24,8 @@ for a minute is background to a short memory. Two signal cycles should lie withi
 what is learned here is what is used there.
 
 Sources: median by sorting network, Knuth, The Art of Computer Programming 3, 5.2.2, algorithm M; half-sample mode,
-Robertson and Cryer 1974, Bickel and Fruehwirth 2006; shadows as constant ratios, Horprasert et al. 1999.
+Robertson and Cryer 1974, Bickel and Fruehwirth 2006; smoothing of the
+exposure map, Eilers 2003; shadows as constant ratios, Horprasert et al. 1999.
 
-Cost: about 100 ms per megapixel and sample on one core; memory 4 bytes per pixel of the result beside the samples.
+Cost: about 70 ms per megapixel and sample on one core; memory 4 bytes per pixel of the result beside the samples.
 """

@@ -100,7 +100,8 @@ def learn_background(samples: Sequence[Sample], *, params: BackgroundParams) -> 
     if len(samples) >= _FEWEST_FOR_MODE:
         _free_busy_places(stacks, strips, (pixels, spread, changed), params)
     tolerance = _tolerance(pixels, spread, seen, params)
-    activity = cv2.blur(changed, (9, 9)) > 1.0 / max(8, len(samples))
+    # Half of the neighbourhood, once: a single vehicle that passed through one of the samples counts.
+    activity = cv2.blur(changed, (9, 9)) > 0.5 / max(8, len(samples))
     levels = np.dstack([pixels, tolerance])
     shadows = _shadows(samples, levels, params)
     return Background(levels, seen, activity, shadows, len(samples), params.range_share)
@@ -227,7 +228,7 @@ def _deviations(stack, covered, pixels, change):  # type: ignore[no-untyped-def]
             seen, changed, fill = 0, 0, np.uint8(255)
             for i in range(count):
                 if covered[i, r, c]:
-                    largest = 0
+                    largest = np.int64(0)
                     for k in range(3):
                         largest = max(largest, abs(np.int64(stack[i, r, c, k]) - np.int64(pixels[r, c, k])))
                     deviation[i, r, c] = largest
@@ -282,7 +283,7 @@ def _shadows(samples: Sequence[Sample], ground: NDArray[np.uint8], params: Backg
 
     found = differences(widest_band(params.shadow_ratio_min, params.shadow_ratio_max))
     ratios = [darkened_ratios(samples[i].pixels, found[n], params) for n, i in enumerate(chosen)]
-    shadows = Shadows(learn_ratio(np.concatenate(ratios)))
+    shadows = Shadows(learn_ratio(np.concatenate(ratios), params))
     if shadows.ratio is None:
         return shadows
     poses = [samples[i].frame_to_reference for i in chosen]

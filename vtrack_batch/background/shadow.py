@@ -19,9 +19,10 @@ from vtrack_batch.background.subtract import OBJECT, SHADOW, Difference
 
 _BIN = 0.02
 _PEAK_HALF_WIDTH = 0.06
-_PEAK_SHARE = 0.42
+_PEAK_SHARE = 0.36
 _DARKER, _BRIGHTER = 0.11, 0.14
 _TINT = 0.15
+_INNER_SHARE = 0.33
 _REACH_PX = 12
 _LEAST_DIRECTION = 0.15
 _FEWEST_PIXELS = 300
@@ -53,25 +54,30 @@ def widest_band(lowest: float, highest: float) -> Band:
     return np.tile([lowest - _TINT, highest + _TINT], (3, 1))
 
 
-def learn_ratio(ratios: NDArray[np.float64]) -> tuple[float, float, float] | None:
+def learn_ratio(ratios: NDArray[np.float64], params: BackgroundParams) -> tuple[float, float, float] | None:
     """Return the ratio per channel at which darkened pixels (n, 3) pile up; None without a peak."""
     if len(ratios) < _FEWEST_PIXELS:
         return None
     mean = ratios.mean(axis=1)
-    counts, edges = np.histogram(mean, np.arange(float(mean.min()), float(mean.max()) + _BIN, _BIN))
-    if len(counts) < 5:
-        return None
+    counts, edges = np.histogram(mean, np.arange(params.shadow_ratio_min, params.shadow_ratio_max + _BIN, _BIN))
     peak = float(edges[int(np.argmax(np.convolve(counts, np.ones(3) / 3, "same")))] + _BIN / 2)
     near = np.abs(mean - peak) <= _PEAK_HALF_WIDTH
-    if near.mean() < _PEAK_SHARE:
+    at_the_end = min(peak - params.shadow_ratio_min, params.shadow_ratio_max - peak) < _PEAK_HALF_WIDTH
+    if near.mean() < _PEAK_SHARE or at_the_end:
         return None
     red, green, blue = np.median(ratios[near], axis=0)
     return float(red), float(green), float(blue)
 
 
 def darkened_ratios(frame: NDArray[np.uint8], difference: Difference, params: BackgroundParams) -> NDArray[np.float64]:
-    """Return the ratios (n, 3) of the frame to the ground at the pixels classed as shadow."""
+    """Return the ratios (n, 3) of the frame to the ground at the pixels classed as shadow, where these are even."""
     rows, columns = np.nonzero(difference.classes == SHADOW)
+    grey = cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY)
+    square = np.ones((3, 3), np.uint8)
+    local_range = cv2.subtract(cv2.dilate(grey, square), cv2.erode(grey, square))[rows, columns]
+    # The edge of a shadow is a mixture of shadow and light.
+    inner = local_range <= (np.quantile(local_range, _INNER_SHARE) if len(rows) else 0)
+    rows, columns = rows[inner], columns[inner]
     exposure = difference.exposure
     mapped = np.stack([exposure.levels[k][frame[rows, columns, k]] for k in range(3)], axis=1)
     gain = exposure.gain_map(*frame.shape[:2])[rows >> GAIN_SHIFT, columns >> GAIN_SHIFT]

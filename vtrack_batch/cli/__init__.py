@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from importlib import import_module
 
@@ -47,6 +48,7 @@ def main() -> None:
     """Run the command line and exit with the code that the contract gives each outcome."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # unwinds as Ctrl-C does: workers end, the lock is let go
     sys.exit(_outcome(sys.argv[1:]))
 
 
@@ -65,6 +67,9 @@ def _outcome(arguments: list[str]) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as problem:
+        click.echo(f"{problem.filename or 'input or output'}: {problem.strerror or problem}", err=True)
+        return 74
     except Exception as problem:  # the one place where a bug is told to the user
         if os.environ.get("VTRACK_DEBUG"):
             raise

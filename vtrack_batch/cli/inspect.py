@@ -43,12 +43,13 @@ def command(
     from vtrack_batch.pipeline.inspect import inspect_frame, inspect_table, write_ortho
 
     survey = options.load(survey_yaml, out)
+    if (ortho is None) == (what is None):
+        raise click.UsageError("name a table or a frame, or use --ortho FRAME")
     if ortho is not None:
-        options.speaker(quiet)(f"written: {write_ortho(survey, ortho, to)}")
+        target = write_ortho(survey, ortho, to)
+        options.answer({"written": str(target)}, f"written: {target}", as_json=as_json)
     if what is not None:
         from vtrack_batch.model.tables import TABLES
 
         value, text = inspect_table(survey, what, rows) if what in TABLES else inspect_frame(survey, what)
         options.answer(value, text, as_json=as_json)
-    if ortho is None and what is None:
-        raise click.UsageError("name a table or a frame, or use --ortho FRAME")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,24 @@ def speaker(quiet: bool) -> Callable[[str], None]:
 
 def answer(value: Any, text: str, *, as_json: bool) -> None:
     """Write the answer to stdout: *value* as JSON, or *text*."""
-    click.echo(json.dumps(value, indent=2, sort_keys=True, ensure_ascii=False, default=str) if as_json else text)
+    click.echo(json.dumps(_plain(value), indent=2, sort_keys=True, ensure_ascii=False) if as_json else text)
+
+
+def _plain(value: Any) -> Any:
+    """Return *value* in what JSON knows: numbers of tables as numbers, missing ones as null, times in ISO 8601."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if hasattr(value, "tolist"):  # of NumPy
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if hasattr(value, "isoformat") and value == value:
+        return value.isoformat()
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return None if str(value) in ("<NA>", "NaT") else str(value)
 
 
 def load(survey_yaml: Path, out: Path | None = None) -> Any:

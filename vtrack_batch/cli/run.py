@@ -8,6 +8,8 @@ import click
 
 from vtrack_batch.cli import options
 
+NOT_PUBLISHED = "the newest snapshot holds something else"
+
 
 @click.command("run", short_help="Process what is due of a survey and publish its tables.")
 @options.survey_file
@@ -15,7 +17,11 @@ from vtrack_batch.cli import options
 @options.out_folder
 @click.option("--dry-run", is_flag=True, help="Say what is due and why; do nothing.")
 @click.option(
-    "--force", type=click.Choice(["detect", "track", "traffic", "picture"]), help="Do this step and what follows again."
+    "--force",
+    type=click.Choice(["detect", "track", "traffic", "picture"]),
+    is_flag=False,
+    flag_value="detect",
+    help="Do this step and what follows again; all of them if none is named (then write it last).",
 )
 @click.option("--wait", "wait_s", type=click.FloatRange(0), default=0.0, help="Seconds to wait for another run to end.")
 @options.as_json
@@ -46,8 +52,10 @@ def command(
 
     survey = options.load(survey_yaml, out)
     if dry_run:
-        due = prepare(survey).due
-        rows = [{"step": d.piece.step, "piece": d.piece.name, "reason": d.reason} for d in due]
+        prepared = prepare(survey, force=force)  # type: ignore[arg-type]
+        rows = [{"step": due.piece.step, "piece": due.piece.name, "reason": due.reason} for due in prepared.due]
+        if not rows and not prepared.up_to_date():
+            rows = [{"step": "publish", "piece": survey.survey.name, "reason": NOT_PUBLISHED}]
         text = "\n".join(f"{r['step']:8} {r['piece']}: {r['reason']}" for r in rows) or "nothing is due"
         options.answer(rows, text, as_json=as_json)
         return 0

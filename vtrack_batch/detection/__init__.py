@@ -9,10 +9,11 @@ Steps
    how surely every pixel differs from the ground and which pixels are only darkened by a cast shadow; ``boxes`` fits
    oriented boxes, car to lorry, drawn by ``templates``; ``measure`` takes colour, area and contrast from inside. Weak
    candidates are kept with their score.
-2. ``place.learn_place``, once a block: ``chains`` of strict candidates that move fast, or for long, straight and steadily along
-   their own axis draw the road.
-3. ``place.select``: on the road weak candidates count as well; elsewhere only members of chains. No frame is decoded
-   twice. With too few chains (few frames, no traffic) strict candidates count everywhere.
+2. ``place.learn_place``, once a block: ``chains`` of strict candidates that move steadily along their own axis, fast or
+   for long, draw the road.
+3. ``place.select``: on the road weak candidates count as well; elsewhere only members of chains, and strict ones if
+   most strict ones lie on the road (else they are roofs). No frame is decoded twice. With too few chains (few frames,
+   no traffic) strict candidates count everywhere.
 4. ``ground.measure_on_ground``: one matrix per frame takes centres and axes to metres; frames are never resampled.
 
 A box is scored by evidence inside, minus evidence just outside, plus the cast shadow on the far side from the sun. The
@@ -24,8 +25,8 @@ half a metre; roofs may drift by parallax, but slower than 1.5 m/s or not straig
 parked cars are not found.
 
 Source: design after measurements on KIT AIS frames and rendered archives; oriented matched filters after greedy pursuit
-(Mallat and Zhang 1993); road from motion in the spirit of Saleemi and Shah 2013.
+(Mallat and Zhang 1993); two rounds, so that the road sorts out what one frame cannot.
 
-Cost: about 60 ms per megapixel and frame with 100 vehicles per megapixel on one core, most of it in the boxes; the
-place model takes some seconds for 10 000 candidates; memory about 30 bytes per pixel of one frame.
+Cost: about 60 ms per megapixel and frame with 100 vehicles per megapixel on one core, half of it in the boxes; the
+place model takes about a second for 10 000 candidates; memory about 30 bytes per pixel of one frame.
 """

@@ -14,6 +14,7 @@ from vtrack_batch.background.subtract import FULL, UNSEEN, Difference, subtract
 from vtrack_batch.detection.boxes import Seeds, fit_boxes
 from vtrack_batch.detection.measure import measure
 from vtrack_batch.detection.params import DetectionParams
+from vtrack_batch.detection.refine import refine
 from vtrack_batch.detection.templates import draw_templates
 from vtrack_batch.model import homography
 from vtrack_batch.model.flags import DetectionFlag
@@ -83,7 +84,12 @@ def find_candidates(
     templates = draw_templates(px_per_m, shadow, params)
     seeds = _seeds(difference, px_per_m, params)
     boxes = fit_boxes(difference, templates, seeds, params)
-    return _candidates(picture, difference, boxes, templates.half_axes, steps)
+    axes = templates.half_axes[boxes[:, 2].astype(int), boxes[:, 3].astype(int)]
+    placed = np.concatenate([boxes[:, :2], axes], axis=1)
+    scale = np.array(px_per_m)
+    placed = refine(difference.evidence, difference.classes, placed, scale, params.shadow_evidence)
+    order = np.lexsort((placed[:, 0], placed[:, 1]))
+    return _candidates(picture, difference, placed[order], boxes[order, 4], steps)
 
 
 # the grid -------------------------------------------------------------------------------------------------------------
@@ -144,13 +150,10 @@ def _seeds(difference: Difference, px_per_m: tuple[float, float], params: Detect
 def _candidates(
     picture: NDArray[np.uint8],
     difference: Difference,
-    boxes: NDArray[np.float64],
-    half_axes: NDArray[np.float64],
+    placed: NDArray[np.float64],
+    score: NDArray[np.float64],
     steps: tuple[int, int],
 ) -> Candidates:
-    boxes = boxes[np.lexsort((boxes[:, 0], boxes[:, 1]))]
-    axes = half_axes[boxes[:, 2].astype(int), boxes[:, 3].astype(int)]
-    placed = np.concatenate([boxes[:, :2], axes], axis=1)
     exposure = difference.exposure
     gain = exposure.gain_map(*picture.shape[:2])
     found = measure(picture, difference.ground, difference.classes, exposure.levels, gain, placed)
@@ -169,6 +172,6 @@ def _candidates(
         green=found[:, 1],
         blue=found[:, 2],
         contrast=found[:, 4],
-        score=boxes[:, 4],
+        score=score,
         flags=flags.astype(np.int32),
     )

@@ -29,7 +29,7 @@ class Sightings:
 
 @dataclass(frozen=True, eq=False)
 class Chains:
-    """Vehicles at several frames: ``frames``, ``rows`` (m, links) say which sightings, ``lines`` (m, links, 2) where."""
+    """Vehicles at several frames: ``frames``, ``rows`` (m, links) = which sightings, ``lines`` (m, links, 2) where."""
 
     frames: NDArray[np.int64]
     rows: NDArray[np.int64]

@@ -50,6 +50,9 @@ class DetectionParams(Params):
     chain_miss_m: float = Field(1.0, gt=0, description="most that a sighting may miss its chain by, sideways")
     chain_accel_mps2: float = Field(2.5, ge=0, description="acceleration that a chain may show")
     chain_colour: float = Field(60.0, gt=0, description="largest difference of colour within a chain, in levels")
+    clutter_share: float = Field(
+        0.4, ge=0, le=1, description="share of strict candidates off the road above which they are roofs, not traffic"
+    )
     fewest_chains: int = Field(5, ge=1, description="chains without which a road is not believed")
     road_reach_m: float = Field(3.0, gt=0, description="how far the road reaches to both sides of a chain")
-    road_ahead_m: float = Field(12.0, ge=0, description="how far the road goes on straight before and after a chain")
+    road_ahead_m: float = Field(20.0, ge=0, description="how far the road goes on straight before and after a chain")

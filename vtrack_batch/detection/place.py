@@ -8,7 +8,7 @@ candidates are kept with their score.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -29,13 +29,15 @@ class Place:
     """What candidates told of the place.
 
     ``road`` (rows, columns) bool in cells of 0.5 m, the first at ``origin_m`` of the reference's metres; ``learned`` =
-    enough chains were found; ``chained`` = for every frame the rows of candidates that belong to chains.
+    enough chains were found; ``trusted_elsewhere`` = strict candidates count off the road too; ``chained`` = for every
+    frame the rows of candidates that belong to chains.
     """
 
     road: NDArray[np.bool_]
     origin_m: Array
     metres_per_px: tuple[float, float]
     learned: bool
+    trusted_elsewhere: bool
     chained: tuple[NDArray[np.int64], ...]
 
     def on_road(self, xy_m: Array) -> NDArray[np.bool_]:
@@ -69,9 +71,21 @@ def learn_place(
     chains = [find_chains(seen, times, links=links, least_mps=least, params=params) for links, least in kinds]
     members = [np.unique(np.concatenate([kind.rows[kind.frames == i] for kind in chains])) for i in range(len(seen))]
     chained = tuple(rows[chosen] for rows, chosen in zip(strict, members, strict=True))
-    learned = sum(len(kind.rows) for kind in chains) >= params.fewest_chains
-    road, origin = _draw(chains, len(seen), params) if learned else (np.zeros((1, 1), np.bool_), np.zeros(2))
-    return Place(road, origin, metres_per_px, learned, chained)
+    if sum(len(kind.rows) for kind in chains) < params.fewest_chains:
+        return Place(np.zeros((1, 1), np.bool_), np.zeros(2), metres_per_px, False, True, chained)
+    road, origin = _draw(chains, len(seen), params)
+    place = Place(road, origin, metres_per_px, True, False, chained)
+    return replace(place, trusted_elsewhere=_is_tidy(place, candidates, poses, params))
+
+
+def _is_tidy(place: Place, candidates: Sequence[Candidates], poses: Sequence[Array], params: DetectionParams) -> bool:
+    """Whether strict candidates lie on the road, but for few: then those few are on roads nobody drove fast on."""
+    strict = off = 0
+    for frame, (found, pose) in enumerate(zip(candidates, poses, strict=True)):
+        strong = found.score >= params.strict_score
+        strict += int(strong.sum())
+        off += int((strong & ~select(found, pose, place, frame=frame, params=params)).sum())
+    return off <= params.clutter_share * strict
 
 
 def select(
@@ -79,15 +93,13 @@ def select(
 ) -> NDArray[np.bool_]:
     """Return which candidates (n,) bool of the frame with number *frame* in ``learn_place`` are taken for vehicles.
 
-    On the road weak ones count; elsewhere only those that belong to a fast straight chain. Where nothing was learned,
-    strict ones count everywhere.
+    On the road weak ones count; elsewhere those that belong to a chain, and strict ones unless most of them lie off the
+    road. Where nothing was learned, strict ones count everywhere.
     """
-    if not place.learned:
-        return np.asarray(candidates.score >= params.strict_score)
-    chained = np.zeros(len(candidates), np.bool_)
-    chained[place.chained[frame]] = True
+    taken = candidates.score >= (params.strict_score if place.trusted_elsewhere else np.inf)
+    taken[place.chained[frame]] = True
     xy = homography.apply(frame_to_reference, np.stack([candidates.col_px, candidates.row_px], axis=1))
-    return np.asarray(chained | (place.on_road(xy * place.metres_per_px) & (candidates.score >= params.weak_score)))
+    return np.asarray(taken | (place.on_road(xy * place.metres_per_px) & (candidates.score >= params.weak_score)))
 
 
 def _sightings(candidates: Candidates, pose: Array, metres_per_px: tuple[float, float]) -> Sightings:

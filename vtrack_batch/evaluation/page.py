@@ -13,6 +13,18 @@ _TITLES = {
     "turns": "Turns",
     "speeds": "Speeds",
 }
+_HEADLINES = {
+    ("detection", "detections", "f1"): "detection F1",
+    ("detection", "movers", "recall"): "recall of movers, per frame after tracking",
+    ("detection", "movers", "precision"): "precision of movers",
+    ("links", "precision"): "link precision",
+    ("tracks", "idf1"): "identity of tracks (IDF1)",
+    ("od", "error"): "OD table error",
+    ("od", "unknown_share_found"): "share of trips with an unknown end, found",
+    ("od", "unknown_share_true"): "share of trips with an unknown end, true",
+    ("turns", "share_error"): "turn share error",
+    ("speeds", "rms_kmh"): "speed error, RMS km/h",
+}
 _PERCENT = {
     "precision", "recall", "f1", "precision_between_vehicles", "label_rate", "idf1", "mota", "hota", "deta", "assa",
     "end_to_end", "found_on_one_track", "first_to_last", "error", "unknown_share_found", "unknown_share_true",
@@ -28,12 +40,22 @@ def page(numbers: Mapping[str, Any]) -> str:
         f"{frames['scored']} frames scored, {frames['not_used_by_the_run']} of them not used by the run; "
         f"[95 % intervals] over {frames['blocks']} blocks of {frames['block_s']:g} s"
     ]
+    lines += ["", "In short", *_headlines(numbers)]
     for section, title in _TITLES.items():
         lines += ["", title]
         lines += list(_lines(numbers[section], 1)) if numbers[section] else ["  the truth says nothing about it"]
     if numbers["remarks"]:
         lines += ["", "Remarks", *(f"  {remark}" for remark in numbers["remarks"])]
     return "\n".join(lines) + "\n"
+
+
+def _headlines(numbers: Mapping[str, Any]) -> Iterator[str]:
+    for path, label in _HEADLINES.items():
+        value: Any = numbers
+        for name in path:
+            value = value.get(name) if isinstance(value, Mapping) else None
+        if value is not None:
+            yield f"{'  ' + label:<{_WIDTH}}{_shown(path[-1], value)}"
 
 
 def _lines(numbers: Mapping[str, Any], depth: int) -> Iterator[str]:

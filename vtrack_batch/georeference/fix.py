@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from vtrack_batch.errors import ConfigError
 from vtrack_batch.georeference.crs import crs_title, is_projected_metric, projected_crs, same_crs, transformed, utm_crs
-from vtrack_batch.model.geotags import GeoTags
 from vtrack_batch.georeference.params import GeoreferenceParams
 from vtrack_batch.georeference.plane import agreeing, distances, fit_affine, fit_homography, rms
 from vtrack_batch.model import homography
+from vtrack_batch.model.geotags import GeoTags
 
 Fit = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 

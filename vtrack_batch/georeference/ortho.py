@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vtrack_batch.model.ground_grid import GroundGrid
 from vtrack_batch.model import homography
+from vtrack_batch.model.ground_grid import GroundGrid
 
 _STRIP_ROWS = 1024
 

@@ -23,8 +23,8 @@ def tables_page() -> str:
         "# Tables",
         "",
         "Made by `make docs` from `vtrack_batch/model/tables.py`. Missing = null; `?` marks columns that may be.",
-        "Times are UTC; intervals (`_lo`, `_hi`) are 95 %. Every table but `quarantine` is divided by `date`, the local",
-        "date in `survey.time_zone`.",
+        "Times are UTC; intervals (`_lo`, `_hi`) are 95 %. Every table but `quarantine` is divided by `date`, the",
+        "local date in `survey.time_zone`.",
         "",
     ]
     for table in TABLES.values():

@@ -11,7 +11,7 @@ import pandas as pd
 
 from vtrack_batch.archive.decode import decode
 from vtrack_batch.archive.read import read_bytes
-from vtrack_batch.archive.sequences import split_sequences
+from vtrack_batch.archive.sequences import shares_instant, split_sequences
 from vtrack_batch.config.survey import Survey
 from vtrack_batch.errors import UnusableFrame, VtrackError
 from vtrack_batch.pipeline.ground import fix_ground
@@ -52,6 +52,9 @@ def check_survey(survey: Survey) -> Check:
     found = scan_archive(survey)
     files = split_sequences(found.files, max_gap_s=survey.archive.max_gap_s, time_zone=survey.survey.time_zone)
     problems = [f"{count} files: {reason}" for reason, count in found.quarantine["reason"].value_counts().items()]
+    doubles = int(shares_instant(files).sum())
+    if doubles:
+        problems.append(f"{doubles} files share their time with another of the same platform: one of each will be used")
     facts: dict[str, Any] = {
         "archive": str(survey.resolve(survey.archive.root)),
         "frames": len(files),
@@ -69,7 +72,7 @@ def check_survey(survey: Survey) -> Check:
     problems += refused
     facts["ground"] = _ground(survey, files.iloc[0], sizes, problems)
     facts["zones"] = _zones(survey, facts["ground"])
-    return Check(facts, tuple(problems), 65 if not sizes else 0)
+    return Check(facts, tuple(problems), 65 if not sizes else 78 if facts["ground"] is None else 0)
 
 
 def _median_interval_s(files: pd.DataFrame) -> float | None:

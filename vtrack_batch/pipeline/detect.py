@@ -131,6 +131,10 @@ def _find_block(unit: Unit, reader: Reader, context: Context) -> Block | None:
     middle = len(unit.frames) // 2
     by_nearness = sorted(range(len(unit.frames)), key=lambda i: (abs(i - middle), i))
     found = _first_readable([unit.frames[i] for i in by_nearness], reader)
+    if site is None:
+        tried = ", ".join(ref.path for ref in unit.site)
+        detail = f"none of the frames that lead to the ground can be used: {tried}; see georeference.reference_frame"
+        _refuse_all(reader.log, UnusableFrame("no_site_frame", detail))
     if site is None or found is None:
         return None
     (site_ref, site_pixels), (ref, pixels) = site, found
@@ -139,11 +143,15 @@ def _find_block(unit: Unit, reader: Reader, context: Context) -> Block | None:
         joined = _join(pixels, site_pixels, _fix(site_ref, site_pixels, reader, context), context.survey)
         if joined is None:
             problem = UnusableFrame("not_joined", f"its block's reference {ref.path} does not fit {site_ref.path}")
-            for other in unit.frames:
-                reader.log.refuse(other, problem)
+            _refuse_all(reader.log, problem)
             return None
         fix = joined
     return Block(ref, pixels, fix, scale_at(fix.reference_to_ground, pixels.shape[1], pixels.shape[0]))
+
+
+def _refuse_all(log: FrameLog, problem: UnusableFrame) -> None:
+    for ref in log.unit.frames:
+        log.refuse(ref, problem)
 
 
 def _first_readable(refs: Sequence[FrameRef], reader: Reader) -> tuple[FrameRef, NDArray[np.uint8]] | None:

@@ -10,7 +10,7 @@ from typing import Any
 
 from vtrack_batch.config.example import example_yaml, schema_json
 from vtrack_batch.config.survey import Survey
-from vtrack_batch.errors import CannotCreate, ConfigError, VtrackError
+from vtrack_batch.errors import CannotCreate, ConfigError, NoArchive, VtrackError
 
 ZONES_TEMPLATE = {
     "type": "FeatureCollection",
@@ -33,8 +33,11 @@ ZONES_TEMPLATE = {
 def write_survey(folder: Path, archive: Path | None) -> Iterator[str]:
     """Write survey.yaml, its schema and a template of zones into *folder*; yields what was written or guessed.
 
-    Raises ``ConfigError`` when a survey file is already there, ``CannotCreate`` when the folder cannot be written.
+    Raises ``ConfigError`` when a survey file is already there, ``NoArchive`` when *archive* is no folder,
+    ``CannotCreate`` when the folder cannot be written.
     """
+    if archive is not None and not archive.is_dir():
+        raise NoArchive(f"{archive}: no such folder; --from takes the folder of the frames")
     if (folder / "survey.yaml").exists():
         raise ConfigError(f"{folder / 'survey.yaml'} exists already; choose another folder or move it away")
     chosen: dict[str, Any] = {}
@@ -68,6 +71,9 @@ def _look_at(archive: Path, folder: Path, chosen: dict[str, Any]) -> Iterator[st
         survey = Survey.model_validate({"archive": {**chosen, **more}}).based_at(folder)
         try:
             found = scan_archive(survey)
+        except NoArchive as problem:
+            yield f"to do: {problem}"
+            return
         except VtrackError as problem:
             if "time_zone" in str(problem):
                 chosen |= more

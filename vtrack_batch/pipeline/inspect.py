@@ -46,7 +46,7 @@ def inspect_frame(survey: Survey, what: str) -> tuple[Any, str]:
             pose[["reference_frame_id", "inliers", "residual_px", "residual_m"]].iloc[0].to_dict() if len(pose) else {}
         )
         facts["detections"] = int((results["detections"]["frame_id"] == found["frame_id"]).sum())
-    return facts, "\n".join(f"{key}: {value}" for key, value in facts.items())
+    return facts, "\n".join(f"{key}: {value}" for key, value in facts.items() if not pd.isna(value))
 
 
 def write_ortho(survey: Survey, what: str, to: Path | None) -> Path:
@@ -70,7 +70,7 @@ def write_ortho(survey: Survey, what: str, to: Path | None) -> Path:
     try:
         write_geotiff(target, *orthorectify(pixels, to_ground, grid), grid)
     except OSError as problem:
-        raise CannotCreate(f"{target}: cannot be written ({problem.strerror})") from None
+        raise CannotCreate(f"{target}: cannot be written ({problem.strerror or problem})") from None
     return target
 
 

@@ -4,55 +4,96 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
 from vtrack_batch import __version__
+from vtrack_batch.archive.scan import OUT_OF_PERIOD
 from vtrack_batch.model.tables import TABLES
 from vtrack_batch.pipeline.index import Index
 from vtrack_batch.pipeline.parts import Context, read
 from vtrack_batch.pipeline.plan import Piece, Plan
-from vtrack_batch.storage.output import Part, digest
+from vtrack_batch.storage.output import Output, Part, described, digest
 from vtrack_batch.storage.parquet import write_table
 
+QUARANTINE = "quarantine/quarantine.parquet"
+LONGEST_SLUG = 80
 OF_SEQUENCE = ("frames", "registrations", "references", "detections", "matches", "track_points")
 OF_DATE = ("trajectories", "crossings", "od_pairs", "turns", "speeds", "flows", "stops", "coverage")
+
+
+Done = list[tuple[Piece, Part]]
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a snapshot of finished parts holds: ``links`` place → (part, its file), and the rows of ``quarantine``."""
+
+    sequences: Done
+    dates: Done
+    pictures: Done
+    links: Mapping[str, tuple[Part, str]]
+    quarantine: pd.DataFrame
+
+    @property
+    def hashes(self) -> dict[str, dict[str, Any]]:
+        """Place → {sha256, bytes, rows} of every linked file."""
+        return {place: dict(part.files[source]) for place, (part, source) in self.links.items()}
+
+    @property
+    def digest(self) -> str:
+        """What tells two snapshots apart."""
+        return digest(self.hashes, self.quarantine.to_dict("records"))
+
+    def published_in(self, output: Output) -> bool:
+        """Return whether the current snapshot of *output* is this one."""
+        current = output.current_manifest()
+        return current is not None and current.get("content") == self.digest
+
+
+def contents(plan: Plan, index: Index, context: Context) -> Contents:
+    """Return what a snapshot of *plan* holds, all of whose parts must be there."""
+    sequences = [(piece, context.part(piece)) for piece in plan.track]
+    dates = [(piece, context.part(piece)) for piece in plan.traffic]
+    pictures = [(piece, context.part(piece)) for piece in plan.picture]
+    links = dict(_table_links(sequences, dates)) | dict(_picture_links(pictures)) | dict(_zone_links(dates))
+    quarantine = pd.concat([index.quarantine, read([part for _, part in sequences], "quarantine")], ignore_index=True)
+    return Contents(sequences, dates, pictures, links, quarantine.drop_duplicates("path"))
 
 
 def publish(plan: Plan, index: Index, context: Context) -> tuple[Path, dict[str, Any]] | None:
     """Publish the parts of *plan*; returns the snapshot and its manifest, or None if it would equal the current one."""
     output = context.output
-    sequences = [(piece, context.part(piece)) for piece in plan.track]
-    dates = [(piece, context.part(piece)) for piece in plan.traffic]
-    pictures = [(piece, context.part(piece)) for piece in plan.picture]
-    links = dict(_table_links(sequences, dates)) | dict(_picture_links(pictures)) | dict(_zone_links(dates))
-    hashes = {place: dict(part.files[source]) for place, (part, source) in links.items()}
-    quarantine = pd.concat([index.quarantine, read([part for _, part in sequences], "quarantine")], ignore_index=True)
-    content = digest(hashes, quarantine.to_dict("records"))
-    current = output.current_manifest()
-    if current is not None and current.get("content") == content:
+    found = contents(plan, index, context)
+    if found.published_in(output):
         return None
     staged = output.state / "staging" / "quarantine.parquet"
-    write_table(staged, TABLES["quarantine"], quarantine.drop_duplicates("path"))
-    manifest = _manifest(context, index, sequences, dates, hashes, content)
-    files = {place: part.file(source) for place, (part, source) in links.items()}
-    files["quarantine/quarantine.parquet"] = staged
-    written = {"report/report.html": _page(manifest, dates, pictures, quarantine)}
-    folder = output.publish(files, written, manifest)
+    write_table(staged, TABLES["quarantine"], found.quarantine)
+    hashes = {**found.hashes, QUARANTINE: described(staged)}
+    manifest = _manifest(context, index, found, hashes)
+    files = {place: part.file(source) for place, (part, source) in found.links.items()}
+    written = {"report/report.html": _page(manifest, found)}
+    folder = output.publish({**files, QUARANTINE: staged}, written, manifest)
     staged.unlink()
     return folder, manifest
 
 
 def slug(name: str) -> str:
-    """Return *name* as a plain file name: letters, digits, dots, dashes."""
-    return re.sub(r"[^A-Za-z0-9.-]+", "_", name).strip("_.")[:80] or "x"
+    """Return the name of a sequence, platform/start, as a file name of its own: platform_start.
+
+    A platform of other letters than a-z, digits, dots, dashes and inner underscores gets a piece of its hash, so that
+    two never share a file; none begins with an underscore or a dot, which readers of Parquet folders pass over.
+    """
+    plain = re.sub(r"[^A-Za-z0-9.-]", "_", name).strip("_.")
+    if "/".join(plain.rsplit("_", 1)) == name and len(plain) <= LONGEST_SLUG:
+        return plain
+    return f"{plain[-LONGEST_SLUG:].lstrip('_.')}-{digest(name)[:8]}"
 
 
-def _table_links(
-    sequences: list[tuple[Piece, Part]], dates: list[tuple[Piece, Part]]
-) -> Iterator[tuple[str, tuple[Part, str]]]:
+def _table_links(sequences: Done, dates: Done) -> Iterator[tuple[str, tuple[Part, str]]]:
     date_of = {need.key: piece.name for piece, _ in dates for need in piece.needs}
     for piece, part in sequences:
         for table in OF_SEQUENCE:
@@ -63,61 +104,52 @@ def _table_links(
             yield f"{table}/date={piece.name}/{piece.key[:8]}.parquet", (part, f"{table}.parquet")
 
 
-def _picture_links(pictures: list[tuple[Piece, Part]]) -> Iterator[tuple[str, tuple[Part, str]]]:
+def _picture_links(pictures: Done) -> Iterator[tuple[str, tuple[Part, str]]]:
     for piece, part in pictures:
         for name in part.files:
             folder = "ground" if name.endswith(".tif") else "report"
             yield f"{folder}/{slug(piece.name)}-{name}", (part, name)
 
 
-def _zone_links(dates: list[tuple[Piece, Part]]) -> Iterator[tuple[str, tuple[Part, str]]]:
+def _zone_links(dates: Done) -> Iterator[tuple[str, tuple[Part, str]]]:
     for piece, part in dates:
         kind = "proposed-zones" if part.about["proposed"] else "zones"
         yield f"report/{kind}-{piece.name}.geojson", (part, "zones.geojson")
 
 
 def _manifest(
-    context: Context,
-    index: Index,
-    sequences: list[tuple[Piece, Part]],
-    dates: list[tuple[Piece, Part]],
-    hashes: Mapping[str, Mapping[str, Any]],
-    content: str,
+    context: Context, index: Index, found: Contents, hashes: Mapping[str, Mapping[str, Any]]
 ) -> dict[str, Any]:
-    frames = read([part for _, part in sequences], "frames")
-    crs = next((part.about["crs"] for _, part in sequences if part.about["crs"]), None)
+    frames = read([part for _, part in found.sequences], "frames")
+    crs = next((part.about["crs"] for _, part in found.sequences if part.about["crs"]), None)
+    lost = index.quarantine["reason"] != OUT_OF_PERIOD
     return {
         "survey": context.survey.survey.name,
         "version": __version__,
-        "content": content,
+        "content": found.digest,
         "crs": crs,
         "time_zone": context.survey.survey.time_zone,
         "tables": {name: {"schema": f"{name}/{table.version}"} for name, table in TABLES.items()},
         "files": {place: dict(about) for place, about in sorted(hashes.items())},
         "frames": {
             "used": int((frames["status"] == "used").sum()),
-            "quarantined": int((frames["status"] != "used").sum() + len(index.quarantine)),
+            "quarantined": int((frames["status"] != "used").sum() + lost.sum()),
         },
-        "zones_proposed": any(part.about["proposed"] for _, part in dates),
+        "zones_proposed": any(part.about["proposed"] for _, part in found.dates),
         "inputs": {"frames": len(index.frames), "content": digest(sorted(index.frames["sha256"]))},
         "parameters": context.survey.model_dump(mode="json", exclude={"execution": {"workers"}}),
     }
 
 
-def _page(
-    manifest: Mapping[str, Any],
-    dates: list[tuple[Piece, Part]],
-    pictures: list[tuple[Piece, Part]],
-    quarantine: pd.DataFrame,
-) -> str:
+def _page(manifest: Mapping[str, Any], found: Contents) -> str:
     from vtrack_batch.report.summary import summary_page
 
-    parts = [part for _, part in dates]
+    parts = [part for _, part in found.dates]
     tables = {name: read(parts, name) for name in ("od_pairs", "turns", "speeds", "coverage", "stops")}
     images = {
         f"{piece.name} {name.removesuffix('.png')}": part.file(name).read_bytes()
-        for piece, part in pictures
+        for piece, part in found.pictures
         for name in sorted(part.files)
         if name.endswith(".png")
     }
-    return summary_page(dict(manifest), {**tables, "quarantine": quarantine}, images)
+    return summary_page(dict(manifest), {**tables, "quarantine": found.quarantine}, images)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,12 @@ class Prepared:
     index: Index
     plan: Plan
     due: tuple[Due, ...]
+
+    def up_to_date(self) -> bool:
+        """Return whether a run would change nothing: no piece is due, and the newest snapshot holds what is done."""
+        from vtrack_batch.pipeline.publish import contents
+
+        return not self.due and contents(self.plan, self.index, self.context).published_in(self.context.output)
 
 
 @dataclass(frozen=True)
@@ -81,15 +87,15 @@ def run_survey(
         raise NoArchive(f"{archive}: no such folder; check archive.root in the survey file")
     output.create()
     with output.locked(wait_s):
-        prepared = prepare(survey)
-        if force is not None:
-            prepared = _forced(prepared, force)
+        prepared = prepare(survey, force=force)
+        for due in prepared.due:
+            output.drop_part(due.piece.step, due.piece.key)
         done = _carry_out(prepared, workers or survey.execution.workers, say or _silent)
         return _publish(prepared, done)
 
 
-def prepare(survey: Survey) -> Prepared:
-    """Index the archive and plan the work, without doing any of it."""
+def prepare(survey: Survey, *, force: Step | None = None) -> Prepared:
+    """Index the archive and plan the work, without doing any of it; *force* makes a step and what follows it due."""
     output = Output(survey.resolve(survey.output.root))
     index = make_index(survey, HashStore(output.state / "files.sqlite" if output.state.is_dir() else None))
     zones_text = read_zones_text(survey)
@@ -101,10 +107,11 @@ def prepare(survey: Survey) -> Prepared:
     plan = make_plan(index.frames, survey, zones_text=zones_text)
     context = Context(survey, index.root, output.root, zones_text)
     ledger = _ledger(output)
+    forced = STEPS[STEPS.index(force) :] if force else ()
     due = tuple(
-        Due(piece, reason_due(piece, ledger.get(f"{piece.step} {piece.name}")))
+        Due(piece, "forced" if made else reason_due(piece, ledger.get(f"{piece.step} {piece.name}")))
         for piece in plan.pieces()
-        if output.part(piece.step, piece.key) is None
+        if not (made := output.part(piece.step, piece.key) is not None) or piece.step in forced
     )
     return Prepared(context, index, plan, due)
 
@@ -172,17 +179,6 @@ def _publish(prepared: Prepared, done: Mapping[str, int]) -> RunReport:
     used, lost = manifest["frames"]["used"], manifest["frames"]["quarantined"]
     too_many = lost > survey.output.quarantine_tolerance * (used + lost)
     return RunReport(output.root, output.current.resolve(), made is not None, done, used, lost, 3 if too_many else 0)
-
-
-def _forced(prepared: Prepared, step: Step) -> Prepared:
-    """Drop the parts of *step* and of all that follows, and plan them as due."""
-    later = STEPS[STEPS.index(step) :]
-    pieces = [piece for piece in prepared.plan.pieces() if piece.step in later]
-    for piece in pieces:
-        prepared.context.output.drop_part(piece.step, piece.key)
-    known = {due.piece.key for due in prepared.due}
-    forced = tuple(Due(piece, "forced") for piece in pieces if piece.key not in known)
-    return replace(prepared, due=(*prepared.due, *forced))
 
 
 def read_zones_text(survey: Survey) -> str | None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import pandas as pd
 
+from vtrack_batch.errors import ConfigError
 from vtrack_batch.matching.params import MatchingParams
 from vtrack_batch.model import homography
 from vtrack_batch.model.views import Views
@@ -20,7 +23,7 @@ def track_sequence(piece: Piece, context: Context) -> None:
     """Join the tables of the sequence's units, track, and write all tables of the sequence."""
     parts = [context.part(need) for need in piece.needs]
     seen = {name: read(parts, name) for name in ("frames", "registrations", "references", "detections")}
-    crs = crs_of(seen["references"])
+    crs = one_crs(seen["references"]["crs"].dropna())
     views = make_views(piece.name, seen)
     tracks = _track(seen["detections"], views, context, crs)
     with context.output.new_part(piece.step, piece.key, {"name": piece.name, "crs": crs}) as folder:
@@ -33,10 +36,15 @@ def track_sequence(piece: Piece, context: Context) -> None:
         write(folder, {**seen, **made}, crs)
 
 
-def crs_of(references: pd.DataFrame) -> str | None:
-    """Return the one CRS of the blocks, or None for local metres."""
-    known = references["crs"].dropna().unique()
-    return str(known[0]) if len(known) else None
+def one_crs(named: Iterable[str]) -> str | None:
+    """Return the one CRS that is *named*, None (local metres) where none is; coordinates of several do not mix."""
+    known = sorted({str(crs) for crs in named})
+    if len(known) > 1:
+        raise ConfigError(
+            f"the frames carry georeferences in several CRS ({', '.join(known)}): "
+            "set georeference.crs to one of them, into which all are then brought"
+        )
+    return known[0] if known else None
 
 
 def make_views(sequence: str, seen: dict[str, pd.DataFrame]) -> Views:

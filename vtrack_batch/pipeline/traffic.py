@@ -6,7 +6,7 @@ import json
 
 from vtrack_batch.pipeline.parts import Context, read, write
 from vtrack_batch.pipeline.plan import Piece
-from vtrack_batch.pipeline.track import views_of
+from vtrack_batch.pipeline.track import one_crs, views_of
 from vtrack_batch.traffic.measure import measure
 from vtrack_batch.traffic.propose import propose_zones
 from vtrack_batch.traffic.zones import parse_zones, zones_to_geojson
@@ -15,7 +15,7 @@ from vtrack_batch.traffic.zones import parse_zones, zones_to_geojson
 def measure_date(piece: Piece, context: Context) -> None:
     """Measure crossings, OD pairs, turns, speeds, flows, stops and coverage over all sequences of a date."""
     parts = [context.part(need) for need in piece.needs]
-    crs = next((part.about["crs"] for part in parts if part.about["crs"]), None)
+    crs = one_crs(part.about["crs"] for part in parts if part.about["crs"])
     trajectories, track_points = read(parts, "trajectories"), read(parts, "track_points")
     views = {need.name: views_of(part, need.name) for need, part in zip(piece.needs, parts, strict=True)}
     survey = context.survey

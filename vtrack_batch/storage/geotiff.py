@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import secrets
 import warnings
 from collections.abc import Iterator, Sequence
@@ -116,12 +117,28 @@ def _created(path: Path, grid: GroundGrid) -> Iterator[Any]:
             bigtiff="IF_SAFER",
         ) as dataset:
             yield dataset
+        _require_whole(temporary)
         temporary.replace(path)
     except RasterioError as problem:
         raise OSError(f"{path}: {problem}") from problem
     finally:
         with suppress(FileNotFoundError):
             temporary.unlink()
+
+
+def _require_whole(path: Path) -> None:
+    """Raise `OSError` if tiles of the file just written are not in it: on a full disk GDAL only grumbles to stderr."""
+    import rasterio
+
+    size = path.stat().st_size
+    with rasterio.open(path, driver="GTiff") as picture:
+        for (row, column), _ in picture.block_windows(1):
+            offset, length = (
+                int(picture.get_tag_item(f"BLOCK_{what}_{column}_{row}", "TIFF", bidx=1) or 0)
+                for what in ("OFFSET", "SIZE")
+            )
+            if not offset or offset + length > size:
+                raise OSError(errno.ENOSPC, f"tile {row}, {column} is not in the file: is the disk full?")
 
 
 def _grid_of(picture: Any) -> GroundGrid:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Callable, Iterable
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 
 _SCHEMA = "create table if not exists files (name blob primary key, size int, mtime_ns int, sha256 text)"
@@ -46,6 +46,8 @@ class HashStore:
         try:
             with closing(self._open(self._path)) as db:
                 rows = db.execute("select name, size, mtime_ns, sha256 from files").fetchall()
+        except sqlite3.OperationalError:  # held by another process, or not ours to read: the files themselves tell
+            return {}
         except sqlite3.DatabaseError:
             self._path.unlink(missing_ok=True)
             return {}
@@ -54,7 +56,7 @@ class HashStore:
     def _store(self, rows: list[tuple[str, int, int, str]]) -> None:
         if self._path is None:
             return
-        with closing(self._open(self._path)) as db, db:
+        with suppress(sqlite3.OperationalError), closing(self._open(self._path)) as db, db:
             db.executemany(
                 "insert or replace into files values (?, ?, ?, ?)",
                 [(_bytes(name), size, mtime_ns, sha256) for name, size, mtime_ns, sha256 in rows],

@@ -5,7 +5,7 @@
     OUT/current -> snapshots/000042        one atomic pointer
     OUT/snapshots/NNNNNN/<table>/date=YYYY-MM-DD/*.parquet, manifest.json, report/, ground/
     OUT/data/<step>/<key>/                 finished parts, never modified; part.json lists what is in them
-    OUT/state/                             lock, staging, remembered hashes, the log of each run
+    OUT/state/                             lock, staging, remembered hashes, what parts were made of
 
 A *part* is the result of one step on one piece of work, named by the hash of all that went into it. Its folder is
 filled under ``state/staging`` and renamed into ``data`` when it is whole: a part that exists is complete.
@@ -18,7 +18,7 @@ import json
 import os
 import secrets
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,9 +59,10 @@ class Output:
     def create(self) -> None:
         """Make the folders; raises ``CannotCreate`` where that is impossible."""
         try:
-            for folder in (self.data, self.snapshots, self.state / "staging", self.state / "runs"):
+            for folder in (self.data, self.snapshots, self.state / "staging"):
                 folder.mkdir(parents=True, exist_ok=True)
-            probe = self.state / "staging" / f"probe-{secrets.token_hex(4)}"
+            # beside the staging area, which the holder of the lock may just be clearing
+            probe = self.state / f"probe-{secrets.token_hex(4)}"
             probe.write_bytes(b"")
             probe.unlink()
             mark = self.root / MARK
@@ -116,7 +117,7 @@ class Output:
             draft.mkdir(parents=True)
             yield draft
             files = {
-                str(path.relative_to(draft)): _described(path) for path in sorted(draft.rglob("*")) if path.is_file()
+                str(path.relative_to(draft)): described(path) for path in sorted(draft.rglob("*")) if path.is_file()
             }
             _write_durable(draft / "part.json", json.dumps({**about, "files": files}, sort_keys=True, indent=1) + "\n")
             for path in draft.rglob("*"):
@@ -134,8 +135,11 @@ class Output:
             shutil.rmtree(draft, ignore_errors=True)
 
     def drop_part(self, step: str, key: str) -> None:
-        """Forget a part, so that it is computed again."""
-        shutil.rmtree(self.data / step / key, ignore_errors=True)
+        """Forget a part, so that it is computed again; it goes at once, so that none is ever seen half."""
+        draft = self.state / "staging" / f"dropped-{secrets.token_hex(8)}"
+        with suppress(FileNotFoundError):
+            (self.data / step / key).rename(draft)
+        shutil.rmtree(draft, ignore_errors=True)
 
     # snapshots -----------------------------------------------------------------------------------------------------
 
@@ -186,20 +190,16 @@ def digest(*parts: Any) -> str:
     return hashlib.sha256(text.encode("ascii")).hexdigest()[:32]
 
 
-def rows_of(parts: Iterable[Part], name: str) -> int:
-    """Return how many rows the file *name* has over *parts*."""
-    return sum(int(part.files[name].get("rows") or 0) for part in parts if name in part.files)
-
-
-def _described(path: Path) -> dict[str, Any]:
+def described(path: Path) -> dict[str, Any]:
+    """Return {sha256, bytes, rows} of a file; only tables have rows."""
     with path.open("rb") as stream:
         sha256 = hashlib.file_digest(stream, "sha256").hexdigest()
-    described: dict[str, Any] = {"sha256": sha256, "bytes": path.stat().st_size}
+    about: dict[str, Any] = {"sha256": sha256, "bytes": path.stat().st_size}
     if path.suffix == ".parquet":
         import pyarrow.parquet as pq
 
-        described["rows"] = pq.read_metadata(path).num_rows
-    return described
+        about["rows"] = pq.read_metadata(path).num_rows
+    return about
 
 
 def _holder(note: Path) -> str:

@@ -18,6 +18,7 @@ from vtrack_batch.tracking.sightings import Array, Index
 
 FAINT = 1e-3  # ways less likely than this are left out
 LOG_ODDS_MAX = 30.0
+BEHIND = 20.0  # ways whose motion is this much (log) less likely than the rest are left out before colour is asked
 
 
 class Graph(NamedTuple):
@@ -53,7 +54,7 @@ class Ways(NamedTuple):
 
 
 class Messages(NamedTuple):
-    """State and weight of every link as a way into (or, backward, out of) its far sighting; ``seen`` colours behind it."""
+    """State and weight of every link as a way into (backward: out of) its far end; ``seen`` = sightings behind it."""
 
     weight: Array
     mean: Array
@@ -99,13 +100,13 @@ def _grown(cov, dt, q):  # type: ignore[no-untyped-def]
 def _log_place(mean, cov, dt, x, y, variance, motion):  # type: ignore[no-untyped-def]
     """Log density of a sighting at (x, y) for a vehicle in this state, ordinary or rough driving."""
     dx, dy = x - mean[0] - dt * mean[2], y - mean[1] - dt * mean[3]
-    total = -np.inf
-    for rough in range(2):
-        q = motion[0] * (motion[1] if rough else 1.0)
-        s = _grown(cov, dt, q)[0] + variance
-        share = motion[2] if rough else 1 - motion[2]
-        total = _log_sum(total, np.log(share) - 0.5 * (dx * dx + dy * dy) / s - np.log(2 * np.pi * s))
-    return total
+    square = dx * dx + dy * dy
+    usual = _grown(cov, dt, motion[0])[0] + variance
+    rough = _grown(cov, dt, motion[0] * motion[1])[0] + variance
+    density = (1 - motion[2]) * np.exp(-0.5 * square / usual) / usual + motion[2] * np.exp(
+        -0.5 * square / rough
+    ) / rough
+    return np.log(density / (2 * np.pi) + 1e-300)
 
 
 @njit(cache=True, nogil=True)
@@ -113,14 +114,14 @@ def _log_meet(mean, cov, dt, later, later_cov, motion):  # type: ignore[no-untyp
     """Log density ratio of a past and a future state being one vehicle's; the velocity's prior stands in both once."""
     dx, dy = later[0] - mean[0] - dt * mean[2], later[1] - mean[1] - dt * mean[3]
     du, dv = later[2] - mean[2], later[3] - mean[3]
-    total = -np.inf
+    density = 1e-300
     for rough in range(2):
         pp, pv, vv = _grown(cov, dt, motion[0] * (motion[1] if rough else 1.0))
         pp, pv, vv = pp + later_cov[0], pv + later_cov[1], vv + later_cov[2]
         det = max(pp * vv - pv * pv, 1e-12)
         z = (vv * (dx * dx + dy * dy) - 2 * pv * (dx * du + dy * dv) + pp * (du * du + dv * dv)) / det
-        share = motion[2] if rough else 1 - motion[2]
-        total = _log_sum(total, np.log(share) - 0.5 * z - np.log(det) - 2 * np.log(2 * np.pi))
+        density += (motion[2] if rough else 1 - motion[2]) * np.exp(-0.5 * z) / (det * (2 * np.pi) ** 2)
+    total = np.log(density)
     u, v = 0.5 * (later[2] + mean[2]), 0.5 * (later[3] + mean[3])
     return total + 0.5 * (u * u + v * v) / motion[3] ** 2 + np.log(2 * np.pi * motion[3] ** 2)
 
@@ -182,6 +183,8 @@ def _best_way(e, log_birth, g, ways, m):  # type: ignore[no-untyped-def]
         if m.weight[w] < FAINT:
             continue
         term = np.log(m.weight[w]) + _log_place(m.mean[w], m.cov[w], dt, x, y, g.variance[k], g.motion)
+        if term < total - BEHIND:
+            continue
         term += _log_paint(g, h, k, m.paint[w], g.paint[k], 1 / m.seen[w] + 1)
         total = _log_sum(total, term)
         if term > best:
@@ -250,6 +253,8 @@ def _by_past(e, a, no_future, g, ways, past, future):  # type: ignore[no-untyped
         if past.weight[a] * future.weight[b] < FAINT:
             continue
         term = np.log(future.weight[b]) + _log_meet(mean, cov, dt, future.mean[b], future.cov[b], g.motion)
+        if term < total - BEHIND:
+            continue
         term += _log_paint(g, i, k, past.paint[a], future.paint[b], 1 / past.seen[a] + 1 / future.seen[b])
         total = _log_sum(total, term)
     return np.log(past.weight[a]) + total

@@ -11,8 +11,8 @@ class MotionParams(Params):
     """How vehicles move between sightings, and how well a sighting places them."""
 
     position_sigma_m: float = Field(0.4, gt=0, description="spread of a detection's centre, per axis")
-    jerkiness: float = Field(1.0, gt=0, description="[q] spectral density of acceleration, m2/s3, of ordinary driving")
-    rough_factor: float = Field(8.0, gt=1, description="q of hard braking and sharp turns, as a multiple")
+    jerkiness: float = Field(1.5, gt=0, description="[q] spectral density of acceleration, m2/s3, of ordinary driving")
+    rough_factor: float = Field(10.0, gt=1, description="q of hard braking and sharp turns, as a multiple")
     rough_share: float = Field(0.15, gt=0, lt=1, description="share of intervals with such driving")
     speed_sigma_mps: float = Field(10.0, gt=0, description="spread of unknown velocities, per axis")
     max_speed_mps: float = Field(40.0, gt=0, description="nothing on a road is faster")
@@ -42,7 +42,7 @@ class TrackingParams(Params):
     stop_speed_mps: float = Field(0.8, gt=0, description="slower is standing")
     parked_move_m: float = Field(2.5, gt=0, description="a vehicle that never gets farther from where it is, stands")
     parked_s: float = Field(20.0, gt=0, description="a vehicle that stands all its life, at least this long, is parked")
-    border_m: float = Field(6.0, ge=0, description="closer to the border of the view a track may enter and leave")
+    border_m: float = Field(6.0, ge=0, description="this close to the border, the way it drives, it enters or leaves")
     size_unsteady_share: float = Field(0.35, gt=0, description="lengths off their median by more are flagged")
     max_accel_mps2: float = Field(9.0, gt=0, description="harder acceleration is flagged IMPLAUSIBLE_SPEED")
     car_length_m: float = Field(5.6, gt=0, description="up to this length a vehicle is a car")

@@ -186,10 +186,11 @@ def _reasons(s: Sightings, paths: Paths, params: TrackingParams, *, ends: bool) 
     """Say why tracks start, or end: parked, the data, the border of the view, or nothing that is known."""
     at = paths.end if ends else paths.start
     frame, towards = paths.frame[at], (1.0 if ends else -1.0)
-    # where it would be a frame and a half on: the sighting nearest the border may have been missed
-    beyond = paths.xy[at] + towards * 1.5 * s.interval_s * paths.velocity[at] * (np.diff(paths.first) > 1)[:, None]
-    border = s.border[frame]
-    at_border = np.minimum(inside_m(border, paths.xy[at]) - params.border_m, inside_m(border, beyond)) < 0
+    # where it would be a frame and a half and some metres on: the sighting nearest the border may have been missed
+    velocity = paths.velocity[at] * (np.diff(paths.first) > 1)[:, None]
+    speed = np.hypot(*velocity.T)[:, None]
+    on = 1.5 * s.interval_s * velocity + params.border_m * velocity / np.maximum(speed, 1.0)
+    at_border = inside_m(s.border[frame], paths.xy[at] + towards * on) < 0
     at_data = frame == (len(s.frame_s) - 1 if ends else 0)
     words = ("end_of_data", "left_view", "lost") if ends else ("start_of_data", "entered_view", "appeared")
     return np.select([paths.parked, at_data, at_border], ["parked", words[0], words[1]], words[2])

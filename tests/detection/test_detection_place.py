@@ -1,0 +1,125 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from vtrack_batch.detection.candidates import Candidates
+from vtrack_batch.detection.params import DetectionParams
+from vtrack_batch.detection.place import Place, learn_place, select
+
+PARAMS = DetectionParams()
+GSD = (0.4, 0.25)
+
+
+def candidates(rows: list[tuple[float, float, float, float]]) -> Candidates:
+    """Make candidates from (x_m, y_m, angle_deg from right to down, score); colours go with the score."""
+    x, y, angle, score = np.array(rows, float).reshape(-1, 4).T
+    turn = np.radians(angle)
+    flat = np.full(len(x), 120.0)
+    return Candidates(
+        col_px=x / GSD[0],
+        row_px=y / GSD[1],
+        lx_px=2.2 * np.cos(turn) / GSD[0],
+        ly_px=2.2 * np.sin(turn) / GSD[1],
+        wx_px=-0.9 * np.sin(turn) / GSD[0],
+        wy_px=0.9 * np.cos(turn) / GSD[1],
+        area_px=flat,
+        red=flat,
+        green=flat,
+        blue=flat,
+        contrast=flat,
+        score=score,
+        flags=np.zeros(len(x), np.int32),
+    )
+
+
+def archive(
+    count: int = 8, interval_s: float = 1.0, roofs: int = 6
+) -> tuple[list[Candidates], list[np.ndarray], np.ndarray]:
+    """Cars at 12 m/s along y = 20 m and x = 90 m, one weak car on the road, roofs that drift, one weak thing beside."""
+    frames = []
+    for i in range(count):
+        t = i * interval_s
+        rows = [(10 + 12 * t + 30 * n, 20.0, 0.0, 0.9) for n in range(2)]
+        rows += [(90.0, 10 + 12 * t + 35 * n, 90.0, 0.9) for n in range(2)]
+        rows += [(60.0, 20.5, 2.0, 0.52), (30.0, 90.0, 0.0, 0.52)]
+        rows += [(40 + 0.8 * t + 3 * n, 60.0 + 7 * n, 20.0 * n, 0.95) for n in range(roofs)]
+        frames.append(candidates(rows))
+    return frames, [np.eye(3)] * count, np.arange(count) * interval_s
+
+
+def learn(frames: list[Candidates], poses: list[np.ndarray], times: np.ndarray) -> Place:
+    return learn_place(frames, poses, times, metres_per_px=GSD, params=PARAMS)
+
+
+def test_road_lies_where_cars_drive_fast() -> None:
+    place = learn(*archive())
+    assert place.learned
+    on = place.on_road(np.array([[60.0, 20.0], [60, 22], [60, 35], [90, 60], [40, 60], [30, 90], [-500, 20]]))
+    assert on.tolist() == [True, True, False, True, False, False, False]
+
+
+def test_weak_ones_count_on_the_road_and_strong_ones_do_not_elsewhere() -> None:
+    frames, poses, times = archive()
+    place = learn(frames, poses, times)
+    for i in (2, 5):
+        kept = select(frames[i], poses[i], place, frame=i, params=PARAMS)
+        assert kept.tolist() == [True] * 5 + [False] * 7
+
+
+@pytest.mark.parametrize("interval", [0.1, 0.5, 1.5])
+def test_any_rate_of_frames(interval: float) -> None:
+    frames, poses, times = archive(count=round(8 / interval), interval_s=interval)
+    place = learn(frames, poses, times)
+    assert place.learned
+    assert place.on_road(np.array([[60.0, 20.0], [40.0, 60.0]])).tolist() == [True, False]
+
+
+def test_order_in_which_frames_come_does_not_matter() -> None:
+    frames, poses, times = archive()
+    order = [3, 0, 7, 1, 6, 2, 5, 4]
+    one = learn(frames, poses, times)
+    other = learn([frames[i] for i in order], [poses[i] for i in order], times[order])
+    assert (one.road == other.road).all()
+    assert (one.origin_m == other.origin_m).all()
+    assert all((one.chained[i] == other.chained[n]).all() for n, i in enumerate(order))
+
+
+def test_few_strong_ones_off_the_road_are_believed() -> None:
+    frames, poses, times = archive(roofs=2)
+    place = learn(frames, poses, times)
+    kept = select(frames[2], poses[2], place, frame=2, params=PARAMS)
+    assert kept.tolist() == [True] * 5 + [False] + [True] * 2
+
+
+def test_poses_are_taken_out() -> None:
+    frames, poses, times = archive()
+    shaken = [np.array([[1.0, 0, 7.0 * i], [0, 1, -4.0 * i], [0, 0, 1]]) for i in range(len(frames))]
+    moved = []
+    for found, pose in zip(frames, shaken, strict=True):
+        fields = {name: getattr(found, name) for name in found.__dataclass_fields__}
+        moved.append(Candidates(**fields | {"col_px": found.col_px - pose[0, 2], "row_px": found.row_px - pose[1, 2]}))
+    still, shaky = learn(frames, poses, times), learn(moved, shaken, times)
+    assert (still.road == shaky.road).mean() > 0.99
+
+
+def test_creeping_jam_teaches_the_road_too() -> None:
+    frames = [candidates([(20 + 2.0 * t + 9 * n, 30.0, 0.0, 0.9) for n in range(5)]) for t in np.arange(12) * 0.5]
+    place = learn(frames, [np.eye(3)] * 12, np.arange(12) * 0.5)
+    assert place.learned
+    assert place.on_road(np.array([[40.0, 30.0]])).all()
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_few_frames_fall_back_to_strict_ones(count: int) -> None:
+    frames, poses, times = archive(count)
+    place = learn(frames, poses, times)
+    assert not place.learned
+    kept = select(frames[0], poses[0], place, frame=0, params=PARAMS)
+    assert kept.tolist() == [True] * 4 + [False] * 2 + [True] * 6
+
+
+def test_empty_frames_are_no_trouble() -> None:
+    place = learn([candidates([])] * 6, [np.eye(3)] * 6, np.arange(6.0))
+    assert not place.learned
+    assert len(select(candidates([]), np.eye(3), place, frame=2, params=PARAMS)) == 0
