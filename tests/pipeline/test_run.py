@@ -10,13 +10,19 @@ import sys
 from pathlib import Path
 
 import cv2
+import duckdb
+import geopandas
 import numpy as np
 import pandas as pd
+import polars as pl
+import pyarrow.parquet as pq
 import pytest
 
 import vtrack_batch as vt
 from vtrack_batch.errors import Busy, ConfigError, NoArchive, UnusableData
 from vtrack_batch.model.tables import TABLES
+from vtrack_batch.pipeline.detect import detect_unit
+from vtrack_batch.pipeline.parts import read
 from vtrack_batch.pipeline.run import RunReport, prepare, run_survey
 from vtrack_batch.storage.output import Output
 
@@ -258,3 +264,35 @@ def test_without_zones_they_are_proposed_and_it_is_said(archive: Path) -> None:
     assert json.loads((snapshot / "manifest.json").read_text())["zones_proposed"]
     assert list((snapshot / "report").glob("proposed-zones-*.geojson"))
     assert "proposed" in (snapshot / "report" / "report.html").read_text()
+
+
+def test_metres_a_pixel_are_never_guessed(archive: Path) -> None:
+    text = (archive / "survey.yaml").read_text().replace("  gsd_m: 0.33\n", "  rotation_deg: 0.0\n")
+    (archive / "survey.yaml").write_text(text)
+    with pytest.raises(ConfigError, match="never guessed"):
+        run(archive)
+
+
+def test_a_file_that_changes_between_index_and_decode_is_set_aside(archive: Path) -> None:
+    survey = vt.load_survey(archive / "survey.yaml")
+    Output(archive / "results").create()
+    prepared = prepare(survey)
+    changed = sorted((archive / "frames").iterdir())[5]
+    changed.write_bytes(sorted((archive / "frames").iterdir())[9].read_bytes())
+    detect_unit(prepared.plan.detect[0], prepared.context)
+    lost = read([prepared.context.part(prepared.plan.detect[0])], "quarantine")
+    assert lost["path"].tolist() == [changed.name]
+    assert lost["reason"].astype(str).tolist() == ["changed_while_running"]
+
+
+@pytest.mark.parametrize("name", list(TABLES))
+def test_the_snapshot_is_read_alike_by_all_readers(golden: Path, name: str) -> None:
+    folder = (golden / "results" / "current").resolve() / name
+    rows = len(pd.read_parquet(folder))
+    assert pq.read_table(folder).num_rows == rows
+    assert pl.read_parquet(folder / "**/*.parquet").height == rows
+    assert duckdb.sql(f"select count(*) from '{folder}/**/*.parquet'").fetchall() == [(rows,)]
+    if name == "trajectories":
+        lines = geopandas.read_parquet(folder)
+        assert len(lines) == rows
+        assert set(lines.geometry.geom_type) <= {"LineString"}

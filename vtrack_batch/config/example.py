@@ -18,8 +18,11 @@ HEADER = """\
 """
 
 
-def example_yaml(chosen: Mapping[str, Mapping[str, Any] | Any] | None = None) -> str:
-    """Return a complete commented survey file; *chosen* replaces defaults, by section and key."""
+def example_yaml(chosen: Mapping[str, Mapping[str, Any] | Any] | None = None, *, ask: str | None = None) -> str:
+    """Return a complete commented survey file.
+
+    *chosen* replaces defaults, by section and key; the key *ask* is left for the user to write.
+    """
     survey = Survey.model_validate(chosen or {})
     lines = [HEADER]
     for name, field in Survey.model_fields.items():
@@ -31,6 +34,10 @@ def example_yaml(chosen: Mapping[str, Mapping[str, Any] | Any] | None = None) ->
         else:
             lines.append(f"{name}: {_scalar(value)}")
         lines.append("")
+    lines = [
+        f"{line.replace(ask, f'# {ask}')}   <- to be written" if ask and line.strip().startswith(f"{ask}:") else line
+        for line in lines
+    ]
     return "\n".join(lines).rstrip() + "\n"
 
 

@@ -37,14 +37,15 @@ def load_params(path: Path, model: type[Model]) -> Model:
     except ValidationError as problem:
         lines = [_sentence(path.name, tree, model, error) for error in problem.errors()]
         count = f"{len(lines)} error{'s' if len(lines) > 1 else ''}"
-        raise ConfigError("\n".join([*lines, f"{count}. Schema: vtrack-batch schema config"])) from None
+        schema = ". Schema: vtrack-batch schema config" if model is Survey else ""
+        raise ConfigError("\n".join([*lines, f"{count}{schema}"])) from None
 
 
 def _read_yaml(path: Path) -> Any:
     try:
         data = path.read_bytes()
     except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file; `vtrack-batch init` writes one") from None
+        raise ConfigError(f"{path}: no such file; `vtrack-batch init` writes a survey file") from None
     except (OSError, ValueError) as problem:
         raise ConfigError(f"{path}: cannot be read ({problem})") from None
     if len(data) > MAX_FILE_BYTES:

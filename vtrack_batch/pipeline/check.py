@@ -71,6 +71,12 @@ def check_survey(survey: Survey) -> Check:
     facts["sizes_px"] = sorted({f"{width} x {height}" for width, height in sizes})
     problems += refused
     facts["ground"] = _ground(survey, files.iloc[0], sizes, problems)
+    apart = facts["sequences"] > 1 and facts["ground"] and facts["ground"]["method"] in ("scale", "control_points")
+    if apart and survey.georeference.reference_frame is None:
+        facts["note"] = (
+            f"each of the {facts['sequences']} sequences is laid on its own first frame; if they show one place, set "
+            "georeference.reference_frame to one frame, so that coordinates and zones mean the same in all"
+        )
     facts["zones"] = _zones(survey, facts["ground"])
     return Check(facts, tuple(problems), 65 if not sizes else 78 if facts["ground"] is None else 0)
 

@@ -13,7 +13,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from vtrack_batch.archive.decode import Decoded, decode
-from vtrack_batch.archive.read import read_bytes
+from vtrack_batch.archive.read import content_hash, read_bytes
 from vtrack_batch.background.learn import Background, Sample, learn_background
 from vtrack_batch.config.survey import Survey
 from vtrack_batch.detection.candidates import Candidates, find_candidates
@@ -27,7 +27,7 @@ from vtrack_batch.model.ground_grid import GroundGrid
 from vtrack_batch.model.homography import Array
 from vtrack_batch.model.ids import detection_id
 from vtrack_batch.model.tables import TABLES
-from vtrack_batch.pipeline.ground import fix_ground
+from vtrack_batch.pipeline.ground import fix_ground, mosaic_gsd_m
 from vtrack_batch.pipeline.parts import Context, matrix_columns, write
 from vtrack_batch.pipeline.plan import FrameRef, Piece, Unit
 from vtrack_batch.registration.alignment import Registration, register
@@ -93,7 +93,10 @@ class Reader:
         if ref.frame_id in self.log.refused:
             return None
         try:
-            found: Decoded = decode(self.data(ref), max_pixels=self.max_pixels)
+            data = self.data(ref)
+            if content_hash(data) != ref.sha256:
+                raise UnusableFrame("changed_while_running", "the file is not the one that was indexed; run again")
+            found: Decoded = decode(data, max_pixels=self.max_pixels)
             size = (found.width_px, found.height_px)
             self.log.size[ref.frame_id] = size
             if expected is not None and size != expected:
@@ -126,6 +129,15 @@ class Block:
 
 
 def _find_block(unit: Unit, reader: Reader, context: Context) -> Block | None:
+    """Return the unit's block, or None, with the reason logged, where there is no way from its frames to the ground."""
+    try:
+        return _joined_block(unit, reader, context)
+    except UnusableFrame as problem:
+        _refuse_all(reader.log, problem)
+        return None
+
+
+def _joined_block(unit: Unit, reader: Reader, context: Context) -> Block | None:
     """Choose the unit's middle readable frame as reference; without tags of its own it is joined to the site frame."""
     site = _first_readable(unit.site, reader)
     middle = len(unit.frames) // 2
@@ -134,17 +146,15 @@ def _find_block(unit: Unit, reader: Reader, context: Context) -> Block | None:
     if site is None:
         tried = ", ".join(ref.path for ref in unit.site)
         detail = f"none of the frames that lead to the ground can be used: {tried}; see georeference.reference_frame"
-        _refuse_all(reader.log, UnusableFrame("no_site_frame", detail))
-    if site is None or found is None:
+        raise UnusableFrame("no_site_frame", detail)
+    if found is None:
         return None
     (site_ref, site_pixels), (ref, pixels) = site, found
     fix = _fix(ref, pixels, reader, context)
     if fix.method not in ("geotiff", "world_file") and ref.frame_id != site_ref.frame_id:
         joined = _join(pixels, site_pixels, _fix(site_ref, site_pixels, reader, context), context.survey)
         if joined is None:
-            problem = UnusableFrame("not_joined", f"its block's reference {ref.path} does not fit {site_ref.path}")
-            _refuse_all(reader.log, problem)
-            return None
+            raise UnusableFrame("not_joined", f"its block's reference {ref.path} does not fit {site_ref.path}")
         fix = joined
     return Block(ref, pixels, fix, scale_at(fix.reference_to_ground, pixels.shape[1], pixels.shape[0]))
 
@@ -348,7 +358,7 @@ def _quarantine(log: FrameLog) -> pd.DataFrame:
 def _write_ground(folder: Path, block: Block, background: Background, survey: Survey) -> None:
     """Write the block's background as GeoTIFF at the set ground sampling distance."""
     corners_m = homography.apply(block.fix.reference_to_ground, homography.corners(*block.size))
-    gsd_m = survey.georeference.mosaic_gsd_m
+    gsd_m = mosaic_gsd_m(survey, block.fix.gsd_m)
     grid = GroundGrid.covering(corners_m, gsd_m, crs=block.fix.crs)
     pixels, valid = orthorectify(background.pixels, block.fix.reference_to_ground, grid, seen=background.seen)
     write_geotiff(folder / "ground.tif", pixels, valid, grid)

@@ -9,7 +9,7 @@ import multiprocessing
 import os
 from collections.abc import Callable, Sequence
 
-from vtrack_batch.errors import VtrackError
+from vtrack_batch.errors import StorageError, VtrackError
 from vtrack_batch.pipeline.parts import Context
 from vtrack_batch.pipeline.plan import Piece
 
@@ -28,7 +28,7 @@ def carry_out(pieces: Sequence[Piece], work: Work, context: Context, *, workers:
             _do(piece, work, context)
             progress(piece)
         return
-    from pebble import ProcessPool
+    from pebble import ProcessExpired, ProcessPool
 
     os.environ.update(ONE_THREAD)
     spawn = multiprocessing.get_context("spawn")
@@ -38,6 +38,12 @@ def carry_out(pieces: Sequence[Piece], work: Work, context: Context, *, workers:
             for piece, future in futures:
                 future.result()
                 progress(piece)
+        except ProcessExpired as death:
+            pool.stop()
+            raise StorageError(
+                f"a worker process died in step {piece.step}, {piece.name} (exit code {death.exitcode}); "
+                "out of memory? Try fewer workers; what was published before is intact"
+            ) from None
         except BaseException:
             pool.stop()
             raise

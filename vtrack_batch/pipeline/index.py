@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from vtrack_batch.archive.names import unescape
 from vtrack_batch.archive.read import content_hash, read_bytes
 from vtrack_batch.archive.scan import Period, Scan, scan
 from vtrack_batch.archive.sequences import resolve_duplicates, split_sequences
@@ -76,10 +77,8 @@ def scan_archive(survey: Survey) -> Scan:
 
 
 def _world_file_hashes(root: Path, files: pd.DataFrame) -> list[str]:
-    """Return the hash of the world file beside each frame, "" where the first frame of its sequence has none."""
-    leaders = files.groupby("sequence")["path"].first()
-    led = {sequence for sequence, path in leaders.items() if world_files(root, path)}
-    return [
-        "".join(content_hash(file.read_bytes()) for file in world_files(root, path)[:1]) if sequence in led else ""
-        for sequence, path in zip(files["sequence"], files["path"], strict=True)
-    ]
+    """Return the hash of the world file beside each frame, "" where there is none."""
+    folders = {(root / unescape(path)).parent for path in files["path"]}
+    listed = {file for folder in folders for file in folder.iterdir()}
+    beside = [world_files(root, path, listed) for path in files["path"]]
+    return ["".join(content_hash(file.read_bytes()) for file in found[:1]) for found in beside]

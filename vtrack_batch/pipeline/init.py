@@ -45,7 +45,7 @@ def write_survey(folder: Path, archive: Path | None) -> Iterator[str]:
         chosen["archive"] = {"root": os.path.relpath(archive.resolve(), folder.resolve())}
         yield from _look_at(archive, folder, chosen["archive"])
     files = {
-        "survey.yaml": example_yaml(chosen),
+        "survey.yaml": example_yaml(chosen, ask="gsd_m"),
         "survey.schema.json": schema_json(),
         "zones-template.geojson": json.dumps(ZONES_TEMPLATE, indent=1) + "\n",
     }

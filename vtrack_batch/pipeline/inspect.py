@@ -12,9 +12,11 @@ from vtrack_batch.archive.decode import decode
 from vtrack_batch.archive.read import read_bytes
 from vtrack_batch.config.survey import Survey
 from vtrack_batch.errors import CannotCreate, ConfigError, UnusableData
+from vtrack_batch.georeference.fix import scale_at
 from vtrack_batch.georeference.ortho import orthorectify
 from vtrack_batch.model import homography
 from vtrack_batch.model.ground_grid import GroundGrid
+from vtrack_batch.pipeline.ground import mosaic_gsd_m
 from vtrack_batch.pipeline.parts import matrices_of
 from vtrack_batch.storage.geotiff import write_geotiff
 from vtrack_batch.storage.results import Results, open_results
@@ -65,7 +67,11 @@ def write_ortho(survey: Survey, what: str, to: Path | None) -> Path:
     ).pixels
     corners_m = homography.apply(to_ground, homography.corners(pixels.shape[1], pixels.shape[0]))
     crs = pose["crs"].iloc[0]
-    grid = GroundGrid.covering(corners_m, survey.georeference.mosaic_gsd_m, crs=None if pd.isna(crs) else str(crs))
+    grid = GroundGrid.covering(
+        corners_m,
+        mosaic_gsd_m(survey, scale_at(to_ground, pixels.shape[1], pixels.shape[0])),
+        crs=None if pd.isna(crs) else str(crs),
+    )
     target = to or Path(Path(found["path"]).stem + "-ortho.tif")
     try:
         write_geotiff(target, *orthorectify(pixels, to_ground, grid), grid)

@@ -102,8 +102,7 @@ def prepare(survey: Survey, *, force: Step | None = None) -> Prepared:
     if index.frames.empty:
         reasons = ", ".join(f"{n} {reason}" for reason, n in index.quarantine["reason"].value_counts().items())
         raise UnusableData(f"{index.root}: none of {len(index.quarantine)} files can be used ({reasons})")
-    if zones_text is not None:
-        _check_zones(zones_text, survey, index)
+    _check_ground(survey, index, zones_text)
     plan = make_plan(index.frames, survey, zones_text=zones_text)
     context = Context(survey, index.root, output.root, zones_text)
     ledger = _ledger(output)
@@ -192,13 +191,12 @@ def read_zones_text(survey: Survey) -> str | None:
         raise ConfigError(f"{path}: the zone file cannot be read ({problem}); see `zones` in the survey file") from None
 
 
-def _check_zones(zones_text: str, survey: Survey, index: Index) -> None:
-    """Raise ``ConfigError`` if the zones cannot be read in the CRS of the first readable frame, before work begins."""
+def _check_ground(survey: Survey, index: Index, zones_text: str | None) -> None:
+    """Raise ``ConfigError`` before work begins if the first frame's ground or the zones on it cannot be had."""
     from vtrack_batch.archive.headers import read_header
     from vtrack_batch.archive.read import read_bytes
     from vtrack_batch.pipeline.ground import fix_ground
     from vtrack_batch.pipeline.plan import refs_of
-    from vtrack_batch.traffic.zones import parse_zones
 
     for ref in refs_of(index.frames.iloc[:SITE_CANDIDATES]):
         try:
@@ -207,7 +205,10 @@ def _check_zones(zones_text: str, survey: Survey, index: Index) -> None:
         except UnusableFrame:
             continue
         fix = fix_ground(survey, index.root, ref, data, header.width_px, header.height_px)
-        parse_zones(zones_text, crs=fix.crs, source=str(survey.zones))
+        if zones_text is not None:
+            from vtrack_batch.traffic.zones import parse_zones
+
+            parse_zones(zones_text, crs=fix.crs, source=str(survey.zones))
         return
 
 

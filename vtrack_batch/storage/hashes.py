@@ -6,11 +6,16 @@ The store is a cache: lost or damaged, it is made anew from the files.
 from __future__ import annotations
 
 import sqlite3
+import time
 from collections.abc import Callable, Iterable
 from contextlib import closing, suppress
 from pathlib import Path
 
 _SCHEMA = "create table if not exists files (name blob primary key, size int, mtime_ns int, sha256 text)"
+
+
+RACY_NS = 2_000_000_000
+"""A file modified so recently may change again within the clock's resolution; it is hashed again next time."""
 
 
 class HashStore:
@@ -35,7 +40,8 @@ class HashStore:
             digest = hash_of(name)
             if digest is not None:
                 hashes[name] = digest
-                fresh.append((name, size, mtime_ns, digest))
+                if time.time_ns() - mtime_ns > RACY_NS:
+                    fresh.append((name, size, mtime_ns, digest))
         if fresh:
             self._store(fresh)
         return hashes

@@ -11,7 +11,7 @@ class MotionParams(Params):
     """How vehicles move between sightings, and how well a sighting places them."""
 
     position_sigma_m: float = Field(0.4, gt=0, description="spread of a detection's centre, per axis")
-    jerkiness: float = Field(1.5, gt=0, description="[q] spectral density of acceleration, m2/s3, of ordinary driving")
+    jerkiness: float = Field(1.2, gt=0, description="[q] spectral density of acceleration, m2/s3, of ordinary driving")
     rough_factor: float = Field(10.0, gt=1, description="q of hard braking and sharp turns, as a multiple")
     rough_share: float = Field(0.15, gt=0, lt=1, description="share of intervals with such driving")
     speed_sigma_mps: float = Field(10.0, gt=0, description="spread of unknown velocities, per axis")
