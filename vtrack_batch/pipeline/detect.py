@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,25 +10,24 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from vtrack_batch.archive.decode import Decoded, decode
-from vtrack_batch.archive.read import content_hash, read_bytes
 from vtrack_batch.background.learn import Background, Sample, learn_background
 from vtrack_batch.config.survey import Survey
 from vtrack_batch.detection.candidates import Candidates, find_candidates
 from vtrack_batch.detection.ground import measure_on_ground
 from vtrack_batch.detection.place import learn_place, select
 from vtrack_batch.errors import UnusableFrame
-from vtrack_batch.georeference.fix import GroundFix, scale_at
 from vtrack_batch.georeference.ortho import orthorectify
 from vtrack_batch.model import homography
 from vtrack_batch.model.ground_grid import GroundGrid
 from vtrack_batch.model.homography import Array
 from vtrack_batch.model.ids import detection_id
 from vtrack_batch.model.tables import TABLES
-from vtrack_batch.pipeline.ground import fix_ground, mosaic_gsd_m
+from vtrack_batch.pipeline.block import Block, find_block
+from vtrack_batch.pipeline.ground import mosaic_gsd_m
 from vtrack_batch.pipeline.parts import Context, matrix_columns, write
 from vtrack_batch.pipeline.plan import FrameRef, Piece, Unit
-from vtrack_batch.registration.alignment import Registration, register
+from vtrack_batch.pipeline.reading import FrameLog, Reader
+from vtrack_batch.registration.alignment import register
 from vtrack_batch.registration.reference import Reference, prepare_reference
 from vtrack_batch.storage.geotiff import write_geotiff
 from vtrack_batch.storage.parquet import empty_frame
@@ -44,7 +41,7 @@ def detect_unit(piece: Piece, context: Context) -> None:
     reader = Reader(context.archive, context.survey.archive.max_pixels, log)
     about: dict[str, Any] = {"name": piece.name}
     with context.output.new_part(piece.step, piece.key, about) as folder:
-        block = _find_block(unit, reader, context)
+        block = find_block(unit, reader, context)
         detections = empty_frame(TABLES["detections"])
         if block is not None:
             background, reference = _first_pass(unit, block, reader, context.survey)
@@ -52,157 +49,6 @@ def detect_unit(piece: Piece, context: Context) -> None:
             _write_ground(folder, block, background, context.survey)
         _write(folder, log, block, detections)
         about |= log.counts()
-
-
-# what is known of each frame ------------------------------------------------------------------------------------------
-
-
-@dataclass
-class FrameLog:
-    """What became of every frame of the unit."""
-
-    unit: Unit
-    size: dict[str, tuple[int, int]] = field(default_factory=dict)
-    pose: dict[str, Registration] = field(default_factory=dict)
-    refused: dict[str, UnusableFrame] = field(default_factory=dict)
-
-    def counts(self) -> dict[str, Any]:
-        """Return how many frames of the unit were used, and how many were refused for which reason."""
-        refused = [self.refused[ref.frame_id].reason for ref in self.unit.frames if ref.frame_id in self.refused]
-        return {"frames_used": len(self.unit.frames) - len(refused), "quarantined": dict(Counter(sorted(refused)))}
-
-    def refuse(self, ref: FrameRef, problem: UnusableFrame) -> None:
-        """Note that a frame cannot be used; for frames of the halo this is their own unit's concern to report."""
-        self.refused.setdefault(ref.frame_id, problem)
-
-
-@dataclass(frozen=True)
-class Reader:
-    """Reads and decodes frames; a frame that cannot be used is logged, and None is returned."""
-
-    root: Path
-    max_pixels: int
-    log: FrameLog
-
-    def data(self, ref: FrameRef) -> bytes:
-        """Return the bytes of the file."""
-        return read_bytes(self.root, ref.path)
-
-    def pixels(self, ref: FrameRef, expected: tuple[int, int] | None = None) -> NDArray[np.uint8] | None:
-        """Return the pixels (H, W, 3), or None; *expected* = (width, height) that the frame must have."""
-        if ref.frame_id in self.log.refused:
-            return None
-        try:
-            data = self.data(ref)
-            if content_hash(data) != ref.sha256:
-                raise UnusableFrame("changed_while_running", "the file is not the one that was indexed; run again")
-            found: Decoded = decode(data, max_pixels=self.max_pixels)
-            size = (found.width_px, found.height_px)
-            self.log.size[ref.frame_id] = size
-            if expected is not None and size != expected:
-                raise UnusableFrame(
-                    "geometry_changed",
-                    f"{size[0]} x {size[1]} px, the reference frame has {expected[0]} x {expected[1]}",
-                )
-        except UnusableFrame as problem:
-            self.log.refuse(ref, problem)
-            return None
-        return found.pixels
-
-
-# the block: its reference frame and the ground ------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Block:
-    """The frames of a unit that share one reference and one background, and where the reference lies on the ground."""
-
-    ref: FrameRef
-    pixels: NDArray[np.uint8]
-    fix: GroundFix
-    metres_per_px: tuple[float, float]
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height in px."""
-        return self.pixels.shape[1], self.pixels.shape[0]
-
-
-def _find_block(unit: Unit, reader: Reader, context: Context) -> Block | None:
-    """Return the unit's block, or None, with the reason logged, where there is no way from its frames to the ground."""
-    try:
-        return _joined_block(unit, reader, context)
-    except UnusableFrame as problem:
-        _refuse_all(reader.log, problem)
-        return None
-
-
-def _joined_block(unit: Unit, reader: Reader, context: Context) -> Block | None:
-    """Choose the unit's middle readable frame as reference; without tags of its own it is joined to the site frame."""
-    site = _first_readable(unit.site, reader)
-    middle = len(unit.frames) // 2
-    by_nearness = sorted(range(len(unit.frames)), key=lambda i: (abs(i - middle), i))
-    found = _first_readable([unit.frames[i] for i in by_nearness], reader)
-    if site is None:
-        tried = ", ".join(ref.path for ref in unit.site)
-        detail = f"none of the frames that lead to the ground can be used: {tried}; see georeference.reference_frame"
-        raise UnusableFrame("no_site_frame", detail)
-    if found is None:
-        return None
-    (site_ref, site_pixels), (ref, pixels) = site, found
-    fix = _fix(ref, pixels, reader, context)
-    if fix.method not in ("geotiff", "world_file") and ref.frame_id != site_ref.frame_id:
-        joined = _join(pixels, site_pixels, _fix(site_ref, site_pixels, reader, context), context.survey)
-        if joined is None:
-            raise UnusableFrame("not_joined", f"its block's reference {ref.path} does not fit {site_ref.path}")
-        fix = joined
-    return Block(ref, pixels, fix, scale_at(fix.reference_to_ground, pixels.shape[1], pixels.shape[0]))
-
-
-def _refuse_all(log: FrameLog, problem: UnusableFrame) -> None:
-    for ref in log.unit.frames:
-        log.refuse(ref, problem)
-
-
-def _first_readable(refs: Sequence[FrameRef], reader: Reader) -> tuple[FrameRef, NDArray[np.uint8]] | None:
-    for ref in refs:
-        pixels = reader.pixels(ref)
-        if pixels is not None:
-            if pixels.std() >= MIN_REFERENCE_SPREAD:
-                return ref, pixels
-            reader.log.refuse(ref, UnusableFrame("blank", "all pixels have nearly one value"))
-    return None
-
-
-MIN_REFERENCE_SPREAD = 2.0
-"""Standard deviation in grey levels below which a frame shows nothing."""
-
-
-def _fix(ref: FrameRef, pixels: NDArray[np.uint8], reader: Reader, context: Context) -> GroundFix:
-    height, width = pixels.shape[:2]
-    return fix_ground(context.survey, context.archive, ref, reader.data(ref), width, height)
-
-
-def _join(
-    pixels: NDArray[np.uint8], site_pixels: NDArray[np.uint8], fix: GroundFix, survey: Survey
-) -> GroundFix | None:
-    """Return where the block's reference lies on the ground, through the site frame; None if they do not fit."""
-    params = survey.registration
-    pose = register(pixels, prepare_reference(site_pixels, params=params), params=params)
-    to_site = pose.frame_to_reference
-    if not pose.accepted:
-        # in leaning scenes one direction may hold where the other does not
-        pose = register(site_pixels, prepare_reference(pixels, params=params), params=params)
-        if not pose.accepted:
-            return None
-        to_site = np.asarray(np.linalg.inv(pose.frame_to_reference), np.float64)
-    to_ground = homography.normalised(fix.reference_to_ground @ to_site)
-    metres = float(np.mean(fix.gsd_m)) * pose.residual_px
-    residual_m = float(np.hypot(fix.residual_m or 0.0, metres))
-    return GroundFix(to_ground, fix.method, residual_m, fix.crs, fix.gsd_m)
-
-
-# two passes -----------------------------------------------------------------------------------------------------------
 
 
 def _first_pass(unit: Unit, block: Block, reader: Reader, survey: Survey) -> tuple[Background, Reference]:

@@ -1,0 +1,104 @@
+"""The block of a unit: its reference frame, and where that lies on the ground."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vtrack_batch.config.survey import Survey
+from vtrack_batch.errors import UnusableFrame
+from vtrack_batch.georeference.fix import GroundFix, scale_at
+from vtrack_batch.model import homography
+from vtrack_batch.pipeline.ground import fix_ground
+from vtrack_batch.pipeline.parts import Context
+from vtrack_batch.pipeline.plan import FrameRef, Unit
+from vtrack_batch.pipeline.reading import Reader
+from vtrack_batch.registration.alignment import register
+from vtrack_batch.registration.reference import prepare_reference
+
+
+@dataclass(frozen=True)
+class Block:
+    """The frames of a unit that share one reference and one background, and where the reference lies on the ground."""
+
+    ref: FrameRef
+    pixels: NDArray[np.uint8]
+    fix: GroundFix
+    metres_per_px: tuple[float, float]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in px."""
+        return self.pixels.shape[1], self.pixels.shape[0]
+
+
+def find_block(unit: Unit, reader: Reader, context: Context) -> Block | None:
+    """Return the unit's block, or None, with the reason logged, where there is no way from its frames to the ground."""
+    try:
+        return _joined_block(unit, reader, context)
+    except UnusableFrame as problem:
+        reader.log.refuse_all(problem)
+        return None
+
+
+def _joined_block(unit: Unit, reader: Reader, context: Context) -> Block | None:
+    """Choose the unit's middle readable frame as reference; without tags of its own it is joined to the site frame."""
+    site = _first_readable(unit.site, reader)
+    middle = len(unit.frames) // 2
+    by_nearness = sorted(range(len(unit.frames)), key=lambda i: (abs(i - middle), i))
+    found = _first_readable([unit.frames[i] for i in by_nearness], reader)
+    if site is None:
+        tried = ", ".join(ref.path for ref in unit.site)
+        detail = f"none of the frames that lead to the ground can be used: {tried}; see georeference.reference_frame"
+        raise UnusableFrame("no_site_frame", detail)
+    if found is None:
+        return None
+    (site_ref, site_pixels), (ref, pixels) = site, found
+    fix = _fix(ref, pixels, reader, context)
+    if fix.method not in ("geotiff", "world_file") and ref.frame_id != site_ref.frame_id:
+        joined = _join(pixels, site_pixels, _fix(site_ref, site_pixels, reader, context), context.survey)
+        if joined is None:
+            raise UnusableFrame("not_joined", f"its block's reference {ref.path} does not fit {site_ref.path}")
+        fix = joined
+    return Block(ref, pixels, fix, scale_at(fix.reference_to_ground, pixels.shape[1], pixels.shape[0]))
+
+
+def _first_readable(refs: Sequence[FrameRef], reader: Reader) -> tuple[FrameRef, NDArray[np.uint8]] | None:
+    for ref in refs:
+        pixels = reader.pixels(ref)
+        if pixels is not None:
+            if pixels.std() >= MIN_REFERENCE_SPREAD:
+                return ref, pixels
+            reader.log.refuse(ref, UnusableFrame("blank", "all pixels have nearly one value"))
+    return None
+
+
+MIN_REFERENCE_SPREAD = 2.0
+"""Standard deviation in grey levels below which a frame shows nothing."""
+
+
+def _fix(ref: FrameRef, pixels: NDArray[np.uint8], reader: Reader, context: Context) -> GroundFix:
+    height, width = pixels.shape[:2]
+    return fix_ground(context.survey, context.archive, ref, reader.data(ref), width, height)
+
+
+def _join(
+    pixels: NDArray[np.uint8], site_pixels: NDArray[np.uint8], fix: GroundFix, survey: Survey
+) -> GroundFix | None:
+    """Return where the block's reference lies on the ground, through the site frame; None if they do not fit."""
+    params = survey.registration
+    pose = register(pixels, prepare_reference(site_pixels, params=params), params=params)
+    to_site = pose.frame_to_reference
+    if not pose.accepted:
+        # in leaning scenes one direction may hold where the other does not
+        pose = register(site_pixels, prepare_reference(pixels, params=params), params=params)
+        if not pose.accepted:
+            return None
+        to_site = np.asarray(np.linalg.inv(pose.frame_to_reference), np.float64)
+    to_ground = homography.normalised(fix.reference_to_ground @ to_site)
+    metres = float(np.mean(fix.gsd_m)) * pose.residual_px
+    residual_m = float(np.hypot(fix.residual_m or 0.0, metres))
+    return GroundFix(to_ground, fix.method, residual_m, fix.crs, fix.gsd_m)

@@ -1,0 +1,75 @@
+"""Reading the frames of a unit: what became of each, and its pixels."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vtrack_batch.archive.decode import Decoded, decode
+from vtrack_batch.archive.read import content_hash, read_bytes
+from vtrack_batch.errors import UnusableFrame
+from vtrack_batch.pipeline.plan import FrameRef, Unit
+from vtrack_batch.registration.alignment import Registration
+
+
+@dataclass
+class FrameLog:
+    """What became of every frame of the unit."""
+
+    unit: Unit
+    size: dict[str, tuple[int, int]] = field(default_factory=dict)
+    pose: dict[str, Registration] = field(default_factory=dict)
+    refused: dict[str, UnusableFrame] = field(default_factory=dict)
+
+    def counts(self) -> dict[str, Any]:
+        """Return how many frames of the unit were used, and how many were refused for which reason."""
+        refused = [self.refused[ref.frame_id].reason for ref in self.unit.frames if ref.frame_id in self.refused]
+        return {"frames_used": len(self.unit.frames) - len(refused), "quarantined": dict(Counter(sorted(refused)))}
+
+    def refuse_all(self, problem: UnusableFrame) -> None:
+        """Note that no frame of the unit can be used, for want of a way to the ground."""
+        for ref in self.unit.frames:
+            self.refuse(ref, problem)
+
+    def refuse(self, ref: FrameRef, problem: UnusableFrame) -> None:
+        """Note that a frame cannot be used; for frames of the halo this is their own unit's concern to report."""
+        self.refused.setdefault(ref.frame_id, problem)
+
+
+@dataclass(frozen=True)
+class Reader:
+    """Reads and decodes frames; a frame that cannot be used is logged, and None is returned."""
+
+    root: Path
+    max_pixels: int
+    log: FrameLog
+
+    def data(self, ref: FrameRef) -> bytes:
+        """Return the bytes of the file."""
+        return read_bytes(self.root, ref.path)
+
+    def pixels(self, ref: FrameRef, expected: tuple[int, int] | None = None) -> NDArray[np.uint8] | None:
+        """Return the pixels (H, W, 3), or None; *expected* = (width, height) that the frame must have."""
+        if ref.frame_id in self.log.refused:
+            return None
+        try:
+            data = self.data(ref)
+            if content_hash(data) != ref.sha256:
+                raise UnusableFrame("changed_while_running", "the file is not the one that was indexed; run again")
+            found: Decoded = decode(data, max_pixels=self.max_pixels)
+            size = (found.width_px, found.height_px)
+            self.log.size[ref.frame_id] = size
+            if expected is not None and size != expected:
+                raise UnusableFrame(
+                    "geometry_changed",
+                    f"{size[0]} x {size[1]} px, the reference frame has {expected[0]} x {expected[1]}",
+                )
+        except UnusableFrame as problem:
+            self.log.refuse(ref, problem)
+            return None
+        return found.pixels
