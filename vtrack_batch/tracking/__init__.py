@@ -9,6 +9,7 @@ All detections of a sequence go in; trajectories, smoothed track points and matc
    steps, mean colour). A link's odds mix the ways into it and the ways out of it: past and future both speak.
 4. ``link``: the best set of chains is one sparse assignment over the whole sequence, links over misses and breaks
    included. The spread of colours is learned from the sequence's own surest links.
+   ``ends``: end links that no brake or engine allows are cut.
 5. ``paths``: Rauch-Tung-Striebel smoothing, one point for each frame between first and last sighting.
 6. ``tables``: state, heading, class by size, reasons for start and end, flags.
 7. ``pairs``: for comparison, chains of plain pair matches.

@@ -29,6 +29,9 @@ class LinkParams(Params):
     sure: float = Field(0.9999, gt=0, lt=1, description="a link of this probability is not asked to compete with gaps")
     trust: float = Field(0.995, gt=0, lt=1, description="belief in a chain's own motion, at most")
     rounds: int = Field(2, ge=1, description="rounds of linking, each with the velocities of the one before")
+    max_end_accel_mps2: float = Field(
+        6.0, gt=0, description="the first and the last link of a chain never ask for more than this, beyond noise"
+    )
     memory_sightings: int = Field(8, ge=1, description="mean colours count for at most this many sightings")
 
 

@@ -12,6 +12,7 @@ from vtrack_batch.matching.flow import FlowMap
 from vtrack_batch.matching.params import MatchingParams
 from vtrack_batch.model.views import Views
 from vtrack_batch.tracking import tables
+from vtrack_batch.tracking.ends import cut_impossible_ends
 from vtrack_batch.tracking.link import link
 from vtrack_batch.tracking.pairs import chain_pairs
 from vtrack_batch.tracking.params import TrackingParams
@@ -74,7 +75,11 @@ def track(
 def _track_sequence(
     s: Sightings, method: str, flow_map: FlowMap | None, matching: MatchingParams, params: TrackingParams
 ) -> Tracks:
-    chains = link(s, matching, params, flow_map) if method in CHAINED else chain_pairs(s, method, matching, flow_map)
+    if method in CHAINED:
+        chains = link(s, matching, params, flow_map)
+        chains = cut_impossible_ends(s, chains, max_accel_mps2=params.link.max_end_accel_mps2)
+    else:
+        chains = chain_pairs(s, method, matching, flow_map)
     paths = paths_of(s, chains, params)
     return Tracks(
         tables.track_points(s, paths, params), tables.trajectories(s, paths, params), tables.matches(s, chains, method)
