@@ -148,3 +148,15 @@ def test_a_stop_by_the_system_unwinds() -> None:
         process.send_signal(signal.SIGTERM)
         assert process.stdout.read() == "tidied\n"
     assert process.returncode == 143
+
+
+def test_init_finds_the_index_beside_the_frames(tmp_path: Path) -> None:
+    (tmp_path / "flight" / "frames").mkdir(parents=True)
+    for name in ("001.png", "002.png"):
+        (tmp_path / "flight" / "frames" / name).write_bytes(b"frame")
+    (tmp_path / "flight" / "notes.csv").write_text("what,else\n1,2\n")
+    lines = "file,time\n001.png,2026-05-17T06:00:00Z\n002.png,2026-05-17T06:00:01Z\n"
+    (tmp_path / "flight" / "times.csv").write_text(lines)
+    made = vtrack("init", "new/site", "--from", "flight/frames", cwd=tmp_path)
+    assert "guessed: 2 frames" in made.stderr
+    assert 'index: "../../flight/times.csv"' in (tmp_path / "new" / "site" / "survey.yaml").read_text()

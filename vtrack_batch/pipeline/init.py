@@ -11,6 +11,7 @@ from typing import Any
 from vtrack_batch.config.example import example_yaml, schema_json
 from vtrack_batch.config.survey import Survey
 from vtrack_batch.errors import CannotCreate, ConfigError, NoArchive, VtrackError
+from vtrack_batch.storage.output import make_folder
 
 ZONES_TEMPLATE = {
     "type": "FeatureCollection",
@@ -40,6 +41,7 @@ def write_survey(folder: Path, archive: Path | None) -> Iterator[str]:
         raise NoArchive(f"{archive}: no such folder; --from takes the folder of the frames")
     if (folder / "survey.yaml").exists():
         raise ConfigError(f"{folder / 'survey.yaml'} exists already; choose another folder or move it away")
+    make_folder(folder)  # before looking: paths relative to it lead through it
     chosen: dict[str, Any] = {}
     if archive is not None:
         chosen["archive"] = {"root": os.path.relpath(archive.resolve(), folder.resolve())}
@@ -50,7 +52,6 @@ def write_survey(folder: Path, archive: Path | None) -> Iterator[str]:
         "zones-template.geojson": json.dumps(ZONES_TEMPLATE, indent=1) + "\n",
     }
     try:
-        folder.mkdir(parents=True, exist_ok=True)
         for name, content in files.items():
             (folder / name).write_text(content, encoding="utf-8")
             yield f"written: {folder / name}"

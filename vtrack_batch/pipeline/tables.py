@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pandas as pd
 
-from vtrack_batch.errors import CannotCreate, ConfigError, UnusableData
+from vtrack_batch.errors import ConfigError, UnusableData
 from vtrack_batch.matching.match import match
+from vtrack_batch.storage.output import make_folder
 from vtrack_batch.tracking.track import track
 
 
@@ -17,7 +18,7 @@ def match_files(earlier: Path, later: Path, out: Path, *, method: str, elapsed_s
     if elapsed_s is None:
         elapsed_s = _elapsed_s(before, after)
     matches = match(before, after, elapsed_s=elapsed_s, method=method)
-    _make(out)
+    make_folder(out)
     matches.to_parquet(out / "matches.parquet", index=False)
     return out / "matches.parquet", int(
         (matches["detection_id_from"].notna() & matches["detection_id_to"].notna()).sum()
@@ -27,7 +28,7 @@ def match_files(earlier: Path, later: Path, out: Path, *, method: str, elapsed_s
 def track_file(detections: Path, out: Path, *, method: str) -> dict[str, int]:
     """Track a detection table; write trajectories, track_points and matches into *out*; returns their rows."""
     tracks = track(_read(detections), method=method)
-    _make(out)
+    make_folder(out)
     made = {"trajectories": tracks.trajectories, "track_points": tracks.track_points, "matches": tracks.matches}
     for name, rows in made.items():
         rows.to_parquet(out / f"{name}.parquet", index=False)
@@ -50,10 +51,3 @@ def _elapsed_s(before: pd.DataFrame, after: pd.DataFrame) -> float:
     if elapsed_s <= 0:
         raise ConfigError(f"the later table is not later: {elapsed_s} s between them")
     return elapsed_s
-
-
-def _make(out: Path) -> None:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as problem:
-        raise CannotCreate(f"{out}: cannot be created ({problem.strerror})") from None

@@ -184,6 +184,14 @@ class Output:
         return target
 
 
+def make_folder(folder: Path) -> None:
+    """Make *folder* and what leads to it; raises ``CannotCreate`` where that is impossible."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as problem:
+        raise CannotCreate(f"{folder}: cannot be created ({problem.strerror})") from None
+
+
 def digest(*parts: Any) -> str:
     """Return the hash (32 hex digits) of *parts* written as canonical JSON: the key of what follows from them."""
     text = json.dumps(parts, sort_keys=True, ensure_ascii=True, separators=(",", ":"), default=str)
