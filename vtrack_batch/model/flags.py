@@ -34,19 +34,19 @@ class FlagText:
     meaning: str
 
 
-_MEANING: dict[IntFlag, str] = {
-    DetectionFlag.TOUCHES_BORDER: "the box reaches over the frame's border: size and centre are doubtful",
-    DetectionFlag.NEAR_UNSEEN: "beside ground that no background sample saw",
-    DetectionFlag.LARGE: "the foreground it was cut from is larger than one vehicle",
-    DetectionFlag.SHADOWED: "in cloud or building shadow: colour is doubtful",
-    DetectionFlag.OUTSIDE_ROAD: "outside the road learned from moving vehicles",
-    TrajectoryFlag.IMPLAUSIBLE_SPEED: "faster, or accelerating harder, than the stated limits at some point",
-    TrajectoryFlag.FEW_POINTS: "fewer sightings than a speed can be trusted on",
-    TrajectoryFlag.BRIDGED_GAP: "holds points that were predicted over misses",
-    TrajectoryFlag.SIZE_UNSTEADY: "sizes of its sightings disagree: perhaps two vehicles",
+_MEANING: dict[str, str] = {
+    "TOUCHES_BORDER": "the box reaches over the frame's border: size and centre are doubtful",
+    "NEAR_UNSEEN": "beside ground that no background sample saw",
+    "LARGE": "the foreground it was cut from is larger than one vehicle",
+    "SHADOWED": "in cloud or building shadow: colour is doubtful",
+    "OUTSIDE_ROAD": "outside the road learned from moving vehicles",
+    "IMPLAUSIBLE_SPEED": "faster, or accelerating harder, than the stated limits at some point",
+    "FEW_POINTS": "fewer sightings than a speed can be trusted on",
+    "BRIDGED_GAP": "holds points that were predicted over misses",
+    "SIZE_UNSTEADY": "sizes of its sightings disagree: perhaps two vehicles",
 }
 
 
 def legend(kind: type[IntFlag]) -> list[FlagText]:
     """Return the bits of *kind* with their meaning, lowest bit first."""
-    return [FlagText(str(bit.name).lower(), int(bit), _MEANING[bit]) for bit in kind]
+    return [FlagText(str(bit.name).lower(), int(bit), _MEANING[str(bit.name)]) for bit in kind]

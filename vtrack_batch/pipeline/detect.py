@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,8 @@ from vtrack_batch.pipeline.ground import mosaic_gsd_m
 from vtrack_batch.pipeline.parts import Context, matrix_columns, write
 from vtrack_batch.pipeline.plan import FrameRef, Piece, Unit
 from vtrack_batch.pipeline.reading import FrameLog, Reader
-from vtrack_batch.registration.alignment import register
+from vtrack_batch.registration.alignment import Registration, register
+from vtrack_batch.registration.params import RegistrationParams
 from vtrack_batch.registration.reference import Reference, prepare_reference
 from vtrack_batch.storage.geotiff import write_geotiff
 from vtrack_batch.storage.parquet import empty_frame
@@ -44,14 +46,27 @@ def detect_unit(piece: Piece, context: Context) -> None:
         block = find_block(unit, reader, context)
         detections = empty_frame(TABLES["detections"])
         if block is not None:
-            background, reference = _first_pass(unit, block, reader, context.survey)
-            detections = _second_pass(unit, block, background, reference, reader, context.survey)
+            background, references = _first_pass(unit, block, reader, context.survey)
+            detections = _second_pass(unit, block, background, references, reader, context.survey)
             _write_ground(folder, block, background, context.survey)
         _write(folder, log, block, detections)
         about |= log.counts()
 
 
-def _first_pass(unit: Unit, block: Block, reader: Reader, survey: Survey) -> tuple[Background, Reference]:
+@dataclass(frozen=True)
+class References:
+    """The block's reference frame in two digests: patches away from traffic, and patches anywhere."""
+
+    calm: Reference
+    whole: Reference
+
+    def register(self, pixels: NDArray[np.uint8], params: RegistrationParams) -> Registration:
+        """Lay a frame on the reference by patches away from traffic; by all, where too few of those are in view."""
+        pose = register(pixels, self.calm, params=params)
+        return pose if pose.accepted else register(pixels, self.whole, params=params)
+
+
+def _first_pass(unit: Unit, block: Block, reader: Reader, survey: Survey) -> tuple[Background, References]:
     """Learn the background from frames spread over the unit and its halo, and a reference that avoids its traffic."""
     rough = prepare_reference(block.pixels, params=survey.registration)
     samples = [Sample(block.pixels, np.eye(3))]
@@ -61,7 +76,8 @@ def _first_pass(unit: Unit, block: Block, reader: Reader, survey: Survey) -> tup
         if pixels is not None and pose is not None and pose.accepted:
             samples.append(Sample(pixels, pose.frame_to_reference))
     background = learn_background(samples, params=survey.background)
-    return background, prepare_reference(block.pixels, avoid=background.activity, params=survey.registration)
+    calm = prepare_reference(block.pixels, avoid=background.activity, params=survey.registration)
+    return background, References(calm, rough)
 
 
 def _spread(unit: Unit, reference: FrameRef, count: int) -> list[FrameRef]:
@@ -75,10 +91,10 @@ def _spread(unit: Unit, reference: FrameRef, count: int) -> list[FrameRef]:
 
 
 def _second_pass(
-    unit: Unit, block: Block, background: Background, reference: Reference, reader: Reader, survey: Survey
+    unit: Unit, block: Block, background: Background, references: References, reader: Reader, survey: Survey
 ) -> pd.DataFrame:
     """Register every frame, find candidates, keep those that fit the block's place model; return detections."""
-    seen = list(_candidates(unit, block, background, reference, reader, survey))
+    seen = list(_candidates(unit, block, background, references, reader, survey))
     if not seen:
         return empty_frame(TABLES["detections"])
     refs, poses, candidates = zip(*seen, strict=True)
@@ -92,13 +108,13 @@ def _second_pass(
 
 
 def _candidates(
-    unit: Unit, block: Block, background: Background, reference: Reference, reader: Reader, survey: Survey
+    unit: Unit, block: Block, background: Background, references: References, reader: Reader, survey: Survey
 ) -> Iterator[tuple[FrameRef, Array, Candidates]]:
     for ref in unit.frames:
         pixels = reader.pixels(ref, block.size)
         if pixels is None:
             continue
-        pose = register(pixels, reference, params=survey.registration)
+        pose = references.register(pixels, survey.registration)
         reader.log.pose[ref.frame_id] = pose
         if not pose.accepted:
             reason = pose.reason or "not_registered"
