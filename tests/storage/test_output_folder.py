@@ -79,7 +79,6 @@ def test_a_second_holder_is_refused_with_the_name_of_the_first(output: Output) -
         pass
 
 
-@pytest.mark.skipif(os.geteuid() != 0 and os.name != "posix", reason="needs POSIX file kinds")
 def test_an_output_that_cannot_be_made_is_told_at_once(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(CannotCreate, match="output"):
