@@ -4,7 +4,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: help demo test check format docs accuracy lock clean
+.PHONY: help demo test check format docs lock clean \
+        accuracy bench-matching bench-tracks bench-paper bench-seeing bench-speed bench-oracles bench-scale train-matching
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -44,12 +45,38 @@ format: $(VENV)/dev ## format the code
 docs: $(VENV)/dev ## write what is made from the code: configs/example.yaml, docs/reference
 	$(BIN)/python -m vtrack_batch.cli.reference
 
-accuracy: $(VENV)/runtime ## measure against every truth at hand, write docs/accuracy.md
-	$(BIN)/python benchmarks/accuracy.py
+accuracy: $(VENV)/runtime ## measure whole runs against every truth at hand: docs/accuracy.md
+	$(BIN)/python -m benchmarks.accuracy
+
+# Benchmarks make the environments of peers under build/peers. QUICK=1 takes the first few of everything.
+bench-matching: $(VENV)/runtime ## our matching and peers on pinned pairs: docs/accuracy.md
+	QUICK=$(QUICK) OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.matching
+
+bench-tracks: $(VENV)/runtime ## our tracking and peers on sequences and real traffic: docs/accuracy.md
+	QUICK=$(QUICK) OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.tracks
+
+bench-paper: $(VENV)/runtime ## the paper's Tables 1-3 and its sweep: docs/paper.md
+	QUICK=$(QUICK) OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.paper
+
+bench-seeing: $(VENV)/runtime ## detection, registration, rendered frames, beside peers and real ones: docs/accuracy.md
+	QUICK=$(QUICK) OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.seeing
+
+bench-speed: $(VENV)/runtime ## a run in units of decoding, stage by stage: docs/performance.md
+	QUICK=$(QUICK) OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.speed
+
+bench-oracles: $(VENV)/runtime ## our IDF1, MOTA, HOTA and links beside TrackEval, motmetrics and TrackMate
+	$(BIN)/python -m benchmarks.oracles
+	$(BIN)/python -m benchmarks.trackmate
+
+bench-scale: $(VENV)/runtime ## how matching and tracking scale with vehicles and frames: docs/performance.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.scale_matching
+
+train-matching: $(VENV)/dev ## train the learned link score anew on simulated traffic, write it into the package
+	$(BIN)/python -m benchmarks.train_matching
 
 lock: ## resolve the lock files anew (needs uv)
-	uv pip compile pyproject.toml --universal --generate-hashes --no-annotate --no-header --python-version 3.11 -o requirements.lock --upgrade
-	uv pip compile pyproject.toml --group dev --universal --generate-hashes --no-annotate --no-header --python-version 3.11 -o requirements-dev.lock --upgrade
+	uv pip compile pyproject.toml --extra sim --universal --generate-hashes --no-annotate --no-header --python-version 3.11 -o requirements.lock --upgrade
+	uv pip compile pyproject.toml --all-extras --group dev --universal --generate-hashes --no-annotate --no-header --python-version 3.11 -o requirements-dev.lock --upgrade
 
 clean: ## remove what the other targets made
 	rm -rf $(VENV) demo build *.egg-info .pytest_cache .mypy_cache .ruff_cache

@@ -1,4 +1,4 @@
-"""Measure the program against every truth at hand and write docs/accuracy.md: ``make accuracy``.
+"""Measure whole runs against every truth at hand: ``make accuracy``, section ``archives`` of docs/accuracy.md.
 
 Runs with default parameters on the simulated demo and on the archives beside the project (../shared/data).
 """
@@ -6,15 +6,14 @@ Runs with default parameters on the simulated demo and on the archives beside th
 from __future__ import annotations
 
 import json
-import platform
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import vtrack_batch as vt
+from benchmarks.page import ACCURACY, stamp, write_section
 from vtrack_batch.config.load import load_params
 from vtrack_batch.evaluation.evaluate import evaluate
 from vtrack_batch.evaluation.load import load_result, load_truth
@@ -47,9 +46,9 @@ SCORES = {
     ("speeds", "within_stated_95"): ("speeds within their stated 95 %", 100, "%"),
 }
 HEAD = """\
-# Accuracy
+## Archives
 
-Written by `make accuracy` (`benchmarks/accuracy.py`): default parameters, the same for all; zones as simulated or none.
+Whole runs, `benchmarks/accuracy.py`: default parameters, the same for all; zones as simulated or none.
 The defaults of detection were chosen while looking at the rendered city and at MunichStreet02 (so these two columns are
 no hold-out), those of tracking on other traffic; simulated seeds 11 and 12 were not looked at. Brackets are 95 %
 intervals over independent blocks of time, never over vehicles; `–` = the truth says nothing.
@@ -59,10 +58,10 @@ Gates and strata are those of the data's own notes; parked cars and 12 px at the
 
 
 def main() -> None:
-    """Run every archive, print its scores, and write the page."""
+    """Run every archive, print its scores, and write the section."""
     columns = dict(measured())
-    lines = [HEAD, *table(columns), "", f"Versions: {stamp()}."]
-    (PROJECT / "docs" / "accuracy.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    made = stamp("make accuracy", ("vtrack-batch", "numpy", "opencv-python-headless", "numba", "scipy"))
+    write_section(ACCURACY, "archives", "\n".join([HEAD, *table(columns), "", made]))
 
 
 def measured() -> Iterator[tuple[str, Mapping[str, Any]]]:
@@ -115,12 +114,6 @@ def cell(numbers: Any, path: tuple[str, ...], factor: float) -> str:
     interval = numbers if isinstance(numbers, Mapping) and numbers.get("lo") is not None else None
     ends = f" [{factor * interval['lo']:.1f}, {factor * interval['hi']:.1f}]" if interval else ""
     return f"{factor * value:.1f}{ends}"
-
-
-def stamp() -> str:
-    """Return the versions that matter."""
-    names = ("vtrack-batch", "numpy", "opencv-python-headless", "numba", "scipy")
-    return ", ".join([f"Python {platform.python_version()}", *(f"{name} {version(name)}" for name in names)])
 
 
 if __name__ == "__main__":

@@ -47,11 +47,13 @@ ONLY_IN = {
     "rasterio": ["storage/geotiff.py", "archive/*", "simulation/write.py"],
     "simplejpeg": ["archive/*", "simulation/write.py"],
     "matplotlib": ["report/*"],
-    "pydantic": ["config/*", "*/params.py"],
+    "sumo": ["simulation/sumo.py"],
+    "distributed": ["pipeline/*"],
+    "pydantic": ["config/*", "*/params.py", "simulation/view_params.py"],
 }
 
 # these files load nothing slow until a command is at work, not even through others
-START_FAST = ["cli/*", "__init__.py", "__main__.py", "errors.py"]
+START_FAST = ["cli/*", "__init__.py", "__main__.py", "errors.py", "pipeline/glance.py"]
 SLOW = {"numpy", "pandas", "cv2", "pyarrow", "pydantic", "scipy", "numba", "shapely", "rasterio", "matplotlib"}
 
 

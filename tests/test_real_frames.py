@@ -67,7 +67,9 @@ def test_a_rendered_city_is_seen(shared_data: Path, tmp_path: Path) -> None:
 
 def test_a_geotiff_archive_comes_out_in_its_own_crs(shared_data: Path, tmp_path: Path) -> None:
     photo = shared_data / "georeferenced" / "colorado.tif"
-    scenario = Scenario(scene="street", orthophoto=str(photo), duration_s=45.0, interval_s=0.75, seed=3, parked=0)
+    ground = {"orthophoto": str(photo), "pedestrians_per_km": 0}
+    times = {"duration_s": 45.0, "interval_s": 0.75}
+    scenario = Scenario.model_validate({"scene": "street", "seed": 3, "ground": ground} | times)
     simulate(scenario, tmp_path)
     report = vt.run_survey(vt.load_survey(tmp_path / "survey.yaml"))
     assert report.exit_code == 0

@@ -11,18 +11,25 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from vtrack_batch.config.load import load_survey
     from vtrack_batch.errors import VtrackError
+    from vtrack_batch.matching.flow import FlowMap
     from vtrack_batch.matching.match import match
     from vtrack_batch.model.tables import TABLES
     from vtrack_batch.pipeline.run import run_survey
     from vtrack_batch.storage.results import open_results
+    from vtrack_batch.tracking.learn import learn_flow
     from vtrack_batch.tracking.track import track
 
 __version__ = "0.1.0"
-__all__ = ["TABLES", "VtrackError", "__version__", "load_survey", "match", "open_results", "run_survey", "track"]
+__all__ = [
+    "TABLES", "FlowMap", "VtrackError", "__version__", "learn_flow", "load_survey", "match", "open_results",
+    "run_survey", "track",
+]  # fmt: skip
 
 _HOME = {
+    "FlowMap": "vtrack_batch.matching.flow",
     "TABLES": "vtrack_batch.model.tables",
     "VtrackError": "vtrack_batch.errors",
+    "learn_flow": "vtrack_batch.tracking.learn",
     "load_survey": "vtrack_batch.config.load",
     "match": "vtrack_batch.matching.match",
     "open_results": "vtrack_batch.storage.results",

@@ -4,14 +4,16 @@ import re
 from datetime import UTC, datetime
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from vtrack_batch.archive.clock import stamp_from_text, to_utc
+from vtrack_batch.archive.clock import to_utc
 from vtrack_batch.archive.params import ArchiveParams
 from vtrack_batch.archive.patterns import AmbiguousNameError, IsoLikeNames, compile_pattern
+from vtrack_batch.archive.stamps import stamp_from_text
 
 BERLIN = "Europe/Berlin"
 
@@ -143,7 +145,10 @@ def test_text_that_is_no_time(text):
 
 def utc_of(texts, *, zone=BERLIN, platform=None, max_gap_s=30.0):
     stamps = [stamp_from_text(text) for text in texts]
-    return to_utc(stamps, platform or ["main"] * len(texts), time_zone=zone, max_gap_s=max_gap_s)
+    clock_us = np.array([stamp.clock_us for stamp in stamps], np.int64)
+    offset_s = np.array([np.nan if stamp.offset_s is None else stamp.offset_s for stamp in stamps], float)
+    names = pd.Series(platform or ["main"] * len(texts), dtype="str")
+    return to_utc(clock_us, offset_s, names, time_zone=zone, max_gap_s=max_gap_s)
 
 
 def times(found):

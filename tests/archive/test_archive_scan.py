@@ -15,9 +15,10 @@ from vtrack_batch.archive import exif, walk
 from vtrack_batch.archive.names import escape, unescape
 from vtrack_batch.archive.params import ArchiveParams
 from vtrack_batch.archive.read import content_hash, read_bytes
-from vtrack_batch.archive.scan import KnownFile, Period, scan
+from vtrack_batch.archive.scan import Period, scan
 from vtrack_batch.archive.sequences import resolve_duplicates, shares_instant, split_sequences
 from vtrack_batch.errors import ConfigError, NoArchive, UnusableFrame
+from vtrack_batch.model.known import KnownFile
 
 UTC_NAMES = ArchiveParams(time_zone="UTC")
 
@@ -475,3 +476,23 @@ def test_real_frames_with_an_index(shared_data):
     assert len(found.files) == 20
     assert found.quarantine.empty
     assert (found.files["t_utc"].diff().dropna() == pd.Timedelta("500ms")).all()
+
+
+def test_a_deep_and_wide_tree_is_walked_in_order(tmp_path):
+    """Fault 60: one folder's names at a time, in the order of whole paths, however deep."""
+    place = tmp_path
+    for _ in range(300):
+        place = place / "d"
+        place.mkdir()
+    (place / "last.jpg").write_bytes(b"x")
+    put(tmp_path, "a/b.jpg", "a-b.jpg", "a.jpg", "a/c/d.jpg", "b.jpg", *(f"w/{n:04d}.jpg" for n in range(500)))
+    names = [found.name for found in walk.walk(tmp_path)]
+    assert names == sorted(names, key=os.fsencode)
+    assert len(names) == 506
+    assert walk.listing_of(tmp_path) is None, "just written"
+    for path in tmp_path.rglob("*.jpg"):
+        os.utime(path, (1e9, 1e9))
+    once = walk.listing_of(tmp_path)
+    assert once == walk.listing_of(tmp_path)
+    os.utime(tmp_path / "b.jpg", (1e9 + 1, 1e9 + 1))
+    assert walk.listing_of(tmp_path) != once

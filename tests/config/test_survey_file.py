@@ -108,3 +108,25 @@ def test_the_example_takes_choices(tmp_path: Path) -> None:
     survey = load_survey(written(tmp_path, text))
     assert survey.archive.root == "here"
     assert survey.georeference.gsd_m == 0.12
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("georeference: {gsd_m: 33cm}", "expected a number of metres, without the unit or a list, found '33cm'"),
+        ("archive: {max_gap_s: abc}", "expected a number of seconds, without the unit, found 'abc'"),
+        ("survey: {start: 2026-05-17T06:00:00}", "expected a time with its offset from UTC"),
+        ("survey: {time_zone: Europe/Berln}", 'did you mean "Europe/Berlin"?'),
+        ("matching: {method: colours}", "found 'colours'; did you mean \"colour\"?"),
+        ("matching: {max_speed_mps: -3}", "expected more than 0.0, found -3"),
+        ("execution: {workers: 1.5}", "expected a whole number, found 1.5"),
+        ("tracking: []", "expected keys of its own below it: motion, "),
+        ("archive: {exif: 7}", "expected true or false, found 7"),
+    ],
+)
+def test_a_wrong_value_is_told_in_words(tmp_path: Path, text: str, told: str) -> None:
+    refused = refusal(tmp_path, text + "\n")
+    assert told in refused
+    assert refused.splitlines()[1].startswith("1 error")
+    assert "constrained" not in refused
+    assert "pydantic" not in refused

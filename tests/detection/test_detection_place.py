@@ -123,3 +123,18 @@ def test_empty_frames_are_no_trouble() -> None:
     place = learn([candidates([])] * 6, [np.eye(3)] * 6, np.arange(6.0))
     assert not place.learned
     assert len(select(candidates([]), np.eye(3), place, frame=2, params=PARAMS)) == 0
+
+
+def test_one_frame_shown_again_and_again_makes_no_chain() -> None:
+    frame = candidates([(40.0, 40.0, 0.0, 0.9), (43.2, 40.0, 0.0, 0.9)])
+    place = learn([frame] * 7, [np.eye(3)] * 7, np.arange(7.0))
+    assert not place.learned
+    assert all(len(rows) == 0 for rows in place.chained)
+
+
+def test_chains_that_end_with_a_stop_teach_the_road_as_well() -> None:
+    places = (40.0, 43.2, 46.4, 46.4)
+    frames = [candidates([(x, 20.0 + 8.0 * n, 0.0, 0.9) for n in range(6)]) for x in places]
+    place = learn(frames, [np.eye(3)] * 4, np.arange(4.0))
+    assert place.learned
+    assert place.on_road(np.array([[43.0, 36.0], [43.0, 90.0]])).tolist() == [True, False]

@@ -31,7 +31,7 @@ def world() -> pd.DataFrame:
     table = pd.DataFrame(rows, columns=["frame", "vehicle", "col_px", "row_px", "speed_mps", "standing_s", "luminance"])
     table["t_utc"] = START + pd.to_timedelta(table["frame"] * STEP_S, unit="s").astype("timedelta64[us]")
     table["track"] = "v-" + table["vehicle"]
-    return table
+    return table.assign(x_m=table["col_px"] * GSD_M, y_m=-table["row_px"] * GSD_M)
 
 
 def trips() -> pd.DataFrame:
@@ -154,7 +154,7 @@ def truth_of(rows: pd.DataFrame) -> Truth:
 
 def shuffled(result: Result, seed: int) -> Result:
     """The same tables with their rows in another order."""
-    names = ("frames", "detections", "track_points", "trajectories", "od_pairs", "turns")
+    names = ("frames", "detections", "track_points", "trajectories", "od_pairs", "turns", "matches", "flows")
     return replace(
         result,
         **{name: getattr(result, name).sample(frac=1, random_state=seed).reset_index(drop=True) for name in names},

@@ -19,7 +19,8 @@ def write_tables_truth(folder: Path) -> Path:
     """The world as ``simulate`` writes its truth."""
     rows, truth = world(), truth_of(world())
     folder.mkdir(parents=True)
-    seen = table("detections", len(rows), **{name: rows[name] for name in ("t_utc", "col_px", "row_px", "standing_s")})
+    columns = ("t_utc", "col_px", "row_px", "x_m", "y_m", "standing_s")
+    seen = table("detections", len(rows), **{name: rows[name] for name in columns})
     seen = seen.assign(vehicle_id=rows["vehicle"], luminance=rows["luminance"])
     points = table("track_points", len(rows), vehicle_id=rows["vehicle"], t_utc=rows["t_utc"])
     points["speed_mps"] = rows["speed_mps"]

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from vtrack_batch.evaluation.blocks import Blocks, draw_blocks, time_blocks
 from vtrack_batch.evaluation.params import EvaluationParams
-from vtrack_batch.evaluation.tracks import Tracked, identity_scores
+from vtrack_batch.evaluation.tracked import Tracked
+from vtrack_batch.evaluation.tracks import identity_scores
 
 TRACKEVAL = {
     "hota": 0.3907555813076458,
@@ -100,3 +101,38 @@ def test_intervals_cover_the_true_share_about_as_often_as_they_say() -> None:
         found = blocks.ratio(blocks.totals(frame, rng.random(1500) < share), blocks.totals(frame))
         covered += found["lo"] <= 0.8 <= found["hi"]
     assert 0.88 <= covered / 200 <= 0.99
+
+
+def test_two_readings_of_clear_differ_where_a_second_track_is_near_after_a_gap() -> None:
+    # the vehicle is on track 0, unseen in frame 1, then both tracks lie on it and track 1 is nearer
+    tracked = Tracked(
+        vehicle=np.zeros(4, int),
+        frame=np.arange(4),
+        track=np.array([0, 1, 0, 1, 0]),
+        track_frame=np.array([0, 1, 2, 2, 3]),
+        i=np.array([0, 2, 2, 3]),
+        j=np.array([0, 2, 3, 4]),
+        similarity=np.array([0.9, 0.6, 0.8, 0.9]),
+    )
+    scores = identity_scores(tracked, time_blocks(np.arange(4.0), EvaluationParams(resamples=100)))
+    assert scores["id_switches"] == 2  # to track 1 and back: what TrackEval says
+    assert scores["id_switches_carried"] == 0  # what motmetrics says
+    assert scores["mota"]["value"] == pytest.approx((4 - 1 - 2 - 2) / 4)
+    assert scores["mota_carried"]["value"] == pytest.approx((4 - 1 - 2) / 4)
+    assert scores["idf1"]["value"] == pytest.approx(2 * 3 / (4 + 5))
+
+
+def test_two_readings_of_clear_differ_where_fewer_but_nearer_pairs_add_up_to_more() -> None:
+    # three vehicles on three tracks at 0.5 each, or two of them at 1.0: TrackEval takes two, motmetrics three
+    tracked = Tracked(
+        vehicle=np.arange(3),
+        frame=np.zeros(3, int),
+        track=np.arange(3),
+        track_frame=np.zeros(3, int),
+        i=np.array([0, 1, 1, 2, 2]),
+        j=np.array([0, 0, 1, 1, 2]),
+        similarity=np.array([0.5, 1.0, 0.5, 1.0, 0.5]),
+    )
+    scores = identity_scores(tracked, time_blocks(np.zeros(1), EvaluationParams(resamples=100)))
+    assert scores["mota"]["value"] == pytest.approx(1 / 3)
+    assert scores["mota_carried"]["value"] == 1

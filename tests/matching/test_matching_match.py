@@ -8,7 +8,7 @@ from vtrack_batch.errors import ConfigError, UnusableData
 from vtrack_batch.matching.flow import FlowMap
 from vtrack_batch.matching.match import match
 
-METHODS = ["default", "untrained", "original", "colour", "opposite", "proposed", "assignment", "nearest"]
+METHODS = ["default", "untrained", "original", "colour", "opposite", "proposed", "regions", "assignment", "nearest"]
 
 
 def street(count=24, seed=0):
@@ -138,8 +138,24 @@ def test_unknown_methods_and_intervals_are_refused():
 
 def test_a_heap_of_points_is_refused_instead_of_filling_the_memory():
     heap = pd.DataFrame({"detection_id": range(6000), "x_m": 0.0, "y_m": 0.0})
-    with pytest.raises(UnusableData, match="pairs"):
+    with pytest.raises(UnusableData, match="6000 detections of one frame lie within 10 m"):
         match(heap, heap, elapsed_s=1.5)
+
+
+def test_a_crowd_beyond_the_limit_of_pairs_is_refused():
+    rng = np.random.default_rng(0)
+    crowd = pd.DataFrame({"detection_id": range(100_000)})
+    crowd[["x_m", "y_m"]] = rng.uniform(0, 1, (len(crowd), 2)) * [1800, 700]
+    with pytest.raises(UnusableData, match="pairs of 100000 and 100000 points"):
+        match(crowd, crowd, elapsed_s=1.5)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_many_at_one_point_are_answered(method):
+    earlier, later = (t.assign(x_m=5.0, y_m=-3.0) for t in street(12))
+    found = match(earlier, later, elapsed_s=1.5, method=method)
+    assert set(found["detection_id_from"].dropna()) == set(earlier["detection_id"])
+    assert found["probability"].between(0, 1).all()
 
 
 @pytest.mark.real

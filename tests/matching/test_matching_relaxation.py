@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from vtrack_batch.matching.candidates import candidates
+from vtrack_batch.matching.candidates import candidates, pairs_within
 from vtrack_batch.matching.colour import colour_labels, equal_labels
 from vtrack_batch.matching.params import RelaxationParams
-from vtrack_batch.matching.relaxation import relax
+from vtrack_batch.matching.relaxation import paper_grid, relax, support, sweep
 
 METHODS = {"a": (False, False), "b": (True, False), "c": (False, True), "d": (True, True)}
 
@@ -84,3 +84,59 @@ def test_no_candidates_means_certainly_no_match():
     _, labels = probabilities(*lonely, "d", 5)
     assert labels.p_none[1] == 1.0
     assert labels.p[0] > 0.5
+
+
+def test_a_sweep_gives_what_each_setting_alone_gives():
+    first, second = random_image(7, 31), random_image(8, 27)
+    (xy1, rgb1), (xy2, rgb2) = first, second
+    edges = candidates(xy1, xy2, 90)
+    start = colour_labels(edges, rgb1, rgb2)
+    settings = paper_grid()[::409]
+    assert 60 < len(settings) < 100  # no multiple of the lanes
+    best_i, best_k = sweep(
+        edges, start, xy1, xy2, settings=settings, tolerance=20, params=RelaxationParams(neighbourhood_m=200)
+    )
+    assert best_i.shape == (len(settings), 31)
+    off = 0
+    for n, (a, b, c) in enumerate(settings):
+        params = RelaxationParams(neighbourhood_m=200, a_delay=a, b_neighbours=b, c_opposite=c)
+        labels = relax(edges, start, xy1, xy2, tolerance=20, params=params)
+        own, other = np.full(31, -1), np.full(27, -1)
+        for picked, ends in ((own, (edges.i, edges.k)), (other, (edges.k, edges.i))):
+            p, none = (labels.p, labels.p_none) if picked is own else (labels.q, labels.q_none)
+            for e in np.argsort(p, kind="stable"):
+                if p[e] > none[ends[0][e]]:
+                    picked[ends[0][e]] = ends[1][e]
+        off += (own != best_i[n]).sum() + (other != best_k[n]).sum()
+    assert off <= 0.002 * len(settings) * 58
+    assert (best_i >= 0).any()
+
+
+def test_the_paper_tries_28611_settings():
+    grid = paper_grid()
+    assert grid.shape == (28611, 3)
+    assert [0.5, 1.0, 1.0] in grid.tolist()
+    np.testing.assert_array_equal(grid.max(axis=0), [1, 10, 10])
+
+
+def test_pairs_within_are_those_of_brute_force():
+    rng = np.random.default_rng(2)
+    a, b = rng.uniform(-300, 40, (60, 2)) * [3, 1], rng.uniform(-300, 40, (80, 2)) * [3, 1]
+    b[:5] = a[:5] + np.array([12.5, -12.5])
+    off = b[None] - a[:, None]
+    for p, near in ((np.inf, np.abs(off).max(axis=2) <= 12.5), (2, np.hypot(*off.T).T <= 12.5)):
+        i, k = pairs_within(a, b, 12.5, p=p, limit=10**6)
+        np.testing.assert_array_equal(np.column_stack([i, k]), np.argwhere(near))
+
+
+def test_support_is_that_of_brute_force():
+    rng = np.random.default_rng(3)
+    xy1, xy2 = rng.uniform(0, 1, (20, 2)) * [150, 40], rng.uniform(0, 1, (22, 2)) * [150, 40]
+    edges = candidates(xy1, xy2, 40)
+    found = support(edges.k, edges.displacement, xy2, 9.0, RelaxationParams(neighbourhood_m=50))
+    near = np.hypot(*(xy2[edges.k][:, None] - xy2[edges.k][None]).T) <= 50
+    agree = np.hypot(*(edges.displacement[:, None] - edges.displacement[None]).T) <= 9
+    want = near & agree & (edges.k[:, None] != edges.k[None])
+    assert want.sum() > 100
+    for e in range(len(edges)):
+        np.testing.assert_array_equal(np.sort(found.by[found.start[e] : found.start[e + 1]]), np.flatnonzero(want[e]))

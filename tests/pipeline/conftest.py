@@ -15,7 +15,12 @@ from vtrack_batch.simulation.write import simulate
 def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with frames, truth, zones and survey.yaml: 40 frames of 640 x 360."""
     folder = tmp_path_factory.mktemp("simulated")
-    simulate(Scenario(duration_s=60.0, width_px=640, height_px=360, parked=8, demand_vph=500.0, seed=7), folder)
+    sections = {
+        "camera": {"width_px": 640, "height_px": 360},
+        "ground": {"parked": 8},
+        "traffic": {"demand_vph": 500.0},
+    }
+    simulate(Scenario.model_validate({"duration_s": 60.0, "seed": 7} | sections), folder)
     # units of 30 s, so that there are several
     with (folder / "survey.yaml").open("a") as stream:
         stream.write("execution:\n  unit_s: 30.0\n  halo_s: 15.0\n")

@@ -23,7 +23,8 @@ from vtrack_batch.errors import Busy, ConfigError, NoArchive, UnusableData
 from vtrack_batch.model.tables import TABLES
 from vtrack_batch.pipeline.detect import detect_unit
 from vtrack_batch.pipeline.parts import read
-from vtrack_batch.pipeline.run import RunReport, prepare, run_survey
+from vtrack_batch.pipeline.prepare import prepare
+from vtrack_batch.pipeline.run import RunReport, run_survey
 from vtrack_batch.storage.output import Output
 
 

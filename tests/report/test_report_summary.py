@@ -63,6 +63,7 @@ def tables():
     turn_rows = [
         ("J1", "west", "through", "all", 30.0),
         ("J1", "west", "left", "all", 10.0),
+        ("J1", "west", "unknown", "all", 60.0),
         ("J1", "west", "left", "car", 10.0),
     ]
     speed_columns = ["place", "vehicles", "time_mean_mps", "space_mean_mps", "p50_mps", "p85_mps"]
@@ -89,12 +90,13 @@ def png():
 
 def test_numbers_of_the_tables_are_on_the_page():
     page = Text(summary_page(manifest(), tables(), {"main map": png()}))
-    assert "2026-05-17 08:00 to 2026-05-17 08:15 (Europe/Berlin)" in page.text
+    assert "2026-05-17 08:00 to 2026-05-17 08:15 (Europe/Berlin), " in page.text
     assert "used 117" in page.text
     assert "truncated 2 a.jpg" in page.text
     assert "east 7 7" in page.text
     assert "west 41 2 43" in page.text
-    assert "J1 west left 10 25% 40" in page.text
+    assert "J1 west left 10 25% 40" in page.text  # of the turns that are known
+    assert "J1 west unknown 60 – 240" in page.text
     assert "west 40 63.0 59.4 63.0 70.2" in page.text
     assert "signal 2 20 30" in page.text
 

@@ -14,9 +14,14 @@ from vtrack_batch.errors import ConfigError
 from vtrack_batch.simulation.params import Scenario
 from vtrack_batch.simulation.write import simulate
 
-STREET = Scenario(
-    scene="street", duration_s=6.0, interval_s=0.5, warm_up_s=40.0, demand_vph=800.0, speed_limit_mps=9.0, seed=8,
-    street_px=((-10.0, 90.0), (330.0, 40.0)), drift_px=5.0, jitter_px=0.6, orthophoto="photo.tif",
+STREET_PX = ((-10.0, 90.0), (330.0, 40.0))
+STREET = Scenario.model_validate(
+    {
+        "scene": "street", "duration_s": 6.0, "interval_s": 0.5, "warm_up_s": 40.0, "seed": 8,
+        "traffic": {"demand_vph": 2400.0, "speed_limit_mps": 9.0},
+        "camera": {"drift_px": 5.0, "jitter_px": 0.6},
+        "ground": {"street_px": STREET_PX, "orthophoto": "photo.tif", "pedestrians_per_km": 0},
+    }
 )  # fmt: skip
 TRANSFORM = Affine(0.15, 0.002, 519467.5, 0.003, -0.151, 4311669.8)
 
@@ -64,7 +69,7 @@ def test_heading_is_that_of_the_street(tmp_path: Path) -> None:
     write_photo(tmp_path, crs="EPSG:26913")
     simulate(STREET.model_copy(update={"frames": False}), tmp_path / "out", base=tmp_path)
     rows = pd.read_parquet(tmp_path / "out" / "truth" / "detections.parquet")
-    ends = [TRANSFORM @ end for end in STREET.street_px or ()]
+    ends = [TRANSFORM @ end for end in STREET_PX]
     along = np.subtract(ends[1], ends[0])
     expected = np.rad2deg(np.arctan2(along[0], along[1])) % 180
     assert rows["heading_deg"].between(expected - 0.5, expected + 0.5).all()
@@ -82,6 +87,7 @@ def test_degrees_and_floats_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.real
 def test_colorado(shared_data: Path, tmp_path: Path) -> None:
-    scenario = STREET.model_copy(update={"orthophoto": "georeferenced/colorado.tif"})
+    ground = STREET.ground.model_copy(update={"orthophoto": "georeferenced/colorado.tif"})
+    scenario = STREET.model_copy(update={"ground": ground})
     simulate(scenario, tmp_path / "out", base=shared_data)
     assert check(tmp_path / "out", "EPSG:26913", within_m=1e-4) > 20

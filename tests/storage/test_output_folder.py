@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+import socket
 import sqlite3
+from datetime import datetime
 from pathlib import Path
 
 import pytest
 
-from vtrack_batch.errors import Busy, CannotCreate, NoArchive
-from vtrack_batch.storage.hashes import HashStore
+from vtrack_batch.errors import Busy, CannotCreate, NoArchive, StorageError
+from vtrack_batch.model.known import KnownFile
+from vtrack_batch.storage.hashes import FileStore
+from vtrack_batch.storage.lock import at_work
 from vtrack_batch.storage.output import Output, digest
 from vtrack_batch.storage.results import open_results
 
@@ -95,35 +100,118 @@ def test_digests_depend_on_content_not_on_order_of_keys() -> None:
     assert digest([1, 2]) != digest([2, 1])
 
 
-def test_hashes_are_asked_for_once(tmp_path: Path) -> None:
-    store, asked = HashStore(tmp_path / "files.sqlite"), []
-
-    def hash_of(name: str) -> str | None:
-        asked.append(name)
-        return None if name == "bad" else f"h{len(name)}"
-
-    files = [("a", 1, 10), ("b\udcff", 1, 10), ("bad", 1, 10)]
-    assert store.fill(files, hash_of) == {"a": "h1", "b\udcff": "h2"}
-    assert asked == ["a", "b\udcff", "bad"]
-    asked.clear()
-    store.fill([("a", 1, 10), ("b\udcff", 2, 10), ("bad", 1, 10)], hash_of)
-    assert asked == ["b\udcff", "bad"]
+def test_files_are_remembered_by_path(tmp_path: Path) -> None:
+    store = FileStore(tmp_path / "files.sqlite")
+    assert store.get("a") is None
+    files = {"a": KnownFile(1, 10, "h1", "2026"), "b\udcff": KnownFile(2, 11, "h2", None)}
+    store.remember(files.items())
+    again = FileStore(tmp_path / "files.sqlite")
+    assert {path: again.get(path) for path in files} == files
+    assert len(again) == 2
+    again.remember([("a", KnownFile(3, 12, "h3"))])
+    assert again.get("a") == KnownFile(3, 12, "h3", None)
 
 
-def test_a_damaged_hash_store_is_made_anew(tmp_path: Path) -> None:
+def test_a_damaged_store_is_made_anew(tmp_path: Path) -> None:
     path = tmp_path / "files.sqlite"
     path.write_bytes(b"not a database" * 100)
-    assert HashStore(path).fill([("a", 1, 10)], lambda name: "h") == {"a": "h"}
+    store = FileStore(path)
+    assert store.get("a") is None
+    store.remember([("a", KnownFile(1, 10, "h"))])
+    assert FileStore(path).get("a") == KnownFile(1, 10, "h")
 
 
-def test_a_hash_store_in_use_elsewhere_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_store_in_use_elsewhere_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "files.sqlite"
-    store = HashStore(path)
-    store.fill([("a", 1, 10)], lambda name: "h")
+    FileStore(path).remember([("a", KnownFile(1, 10, "h"))])
     connect = sqlite3.connect
-    monkeypatch.setattr(sqlite3, "connect", lambda place: connect(place, timeout=0.01))
+    monkeypatch.setattr(sqlite3, "connect", lambda place, timeout: connect(place, timeout=0.01))
     holder = connect(path)
     holder.execute("begin exclusive")
-    assert store.fill([("a", 1, 10)], lambda name: "again") == {"a": "again"}
+    held = FileStore(path)
+    assert held.get("a") is None
+    held.remember([("a", KnownFile(1, 10, "lost"))])
     holder.close()
-    assert store.fill([("a", 1, 10)], lambda name: "lost") == {"a": "h"}
+    assert FileStore(path).get("a") == KnownFile(1, 10, "h")
+
+
+def test_a_store_without_a_place_remembers_nothing(tmp_path: Path) -> None:
+    for store in (FileStore(None), FileStore(tmp_path / "nowhere" / "files.sqlite")):
+        store.remember([("a", KnownFile(1, 10, "h"))])
+        assert store.get("a") is None
+        assert len(store) == 0
+
+
+def test_many_folders_and_odd_manifests_are_published(output: Output) -> None:
+    with output.new_part("track", "k", {}) as folder:
+        (folder / "t").write_text("rows")
+    part = output.part("track", "k")
+    assert part is not None
+    places = {f"t/date={n}/x": part.file("t") for n in range(100)}
+    snapshot = output.publish(places, {}, {"survey": 'ä"\n', "files": {"é": {"bytes": 1}}, "none": None, "empty": {}})
+    manifest = json.loads((snapshot / "manifest.json").read_text())
+    assert manifest == {"survey": 'ä"\n', "files": {"é": {"bytes": 1}}, "none": None, "empty": {}, "snapshot": 1}
+    assert sum(1 for path in snapshot.rglob("x")) == 100
+    assert part.file("t").stat().st_nlink == 101
+
+
+def test_a_file_system_without_links_gets_copies(output: Output, monkeypatch: pytest.MonkeyPatch) -> None:
+    with output.new_part("track", "k", {}) as folder:
+        (folder / "t").write_text("rows")
+    part = output.part("track", "k")
+    assert part is not None
+
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EPERM, "no links here")
+
+    monkeypatch.setattr(os, "link", refuse)
+    snapshot = output.publish({"t/x": part.file("t")}, {}, {})
+    assert (snapshot / "t/x").read_text() == "rows"
+    assert (snapshot / "t/x").stat().st_nlink == 1
+
+
+def test_two_workers_may_make_the_same_part(output: Output) -> None:
+    with output.new_part("detect", "k", {}) as first, output.new_part("detect", "k", {}) as second:
+        (first / "x").write_text("same")
+        (second / "x").write_text("same")
+    part = output.part("detect", "k")
+    assert part is not None
+    assert part.file("x").read_text() == "same"
+    assert not list(output.staging.iterdir())
+
+
+def test_what_a_killed_run_left_is_swept_by_the_next(output: Output) -> None:
+    (output.staging / "detect-1" / "deep").mkdir(parents=True)
+    (output.snapshots / ".removed-1").mkdir()
+    (output.root / ".current-1").symlink_to("nowhere")
+    with output.locked():
+        assert not list(output.staging.iterdir())
+    assert not list(output.snapshots.iterdir())
+    assert not (output.root / ".current-1").is_symlink()
+
+
+def test_a_worker_that_outlives_its_run_finishes_nothing(output: Output) -> None:
+    def outlive() -> None:
+        with output.new_part("detect", "k", {}) as folder:
+            (folder / "x").write_text("whole")
+            with output.locked():
+                pass
+
+    with pytest.raises(StorageError):
+        outlive()
+    assert output.part("detect", "k") is None
+
+
+def test_the_holder_of_the_lock_is_known_and_a_dead_one_is_none(output: Output) -> None:
+    assert at_work(output.state) is None
+    with output.locked():
+        found = at_work(output.state)
+        assert found is not None
+        assert (found.pid, found.host) == (os.getpid(), socket.gethostname())
+        assert datetime.fromisoformat(found.since).tzinfo is not None
+    assert at_work(output.state) is None
+    dead = {"pid": 2**22 + 1, "host": socket.gethostname(), "since": "2026-05-17T06:00:00+00:00"}
+    (output.state / "holder.json").write_text(json.dumps(dead))
+    assert at_work(output.state) is None
+    with output.locked():
+        assert at_work(output.state) is not None

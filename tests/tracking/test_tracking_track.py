@@ -205,6 +205,8 @@ def test_classes_come_from_size():
         (lambda t: t.assign(t_utc=t["t_utc"].dt.tz_localize(None)), "time zone"),
         (lambda t: t.assign(x_m=np.nan), "x_m"),
         (lambda t: t.assign(detection_id="same"), "repeated"),
+        (lambda t: t.assign(t_utc=t["t_utc"].mask(t.index < 4)), "t_utc is missing in 4"),
+        (lambda t: t.assign(x_m=7.0, y_m=1.0, t_utc=t["t_utc"].min()), "lie within 10 m of one another, near .7, 1."),
     ],
 )
 def test_unusable_detections_are_refused(change, words):
@@ -217,3 +219,21 @@ def test_unknown_methods_are_refused():
         track(utc(street()), method="magic")
     with pytest.raises(ConfigError, match="magic"):
         track(utc(street()), method="magic", matching=MatchingParams(method="nearest"))
+
+
+def test_a_hundred_thousand_in_one_frame_are_nobodys_tracks():
+    rng = np.random.default_rng(0)
+    crowd = pd.DataFrame({"detection_id": np.arange(100_000), "t_utc": times(np.zeros(100_000))})
+    crowd[["x_m", "y_m"]] = rng.uniform(0, 1, (len(crowd), 2)) * [9000, 2000]
+    tracks = track(utc(crowd))
+    assert len(tracks.trajectories) == len(tracks.track_points) == len(tracks.matches) == 0
+    two = pd.concat([utc(crowd), utc(crowd.assign(detection_id=10**6 + crowd["detection_id"], t_utc=times([1.5])[0]))])
+    with pytest.raises(UnusableData, match="pairs of 100000 and 100000"):
+        track(two)
+
+
+def test_all_at_one_point_is_answered():
+    world = utc(street(1.5, frames=12)).assign(x_m=4.0, y_m=9.0)
+    tracks = track(world)
+    assert len(labels(tracks, world)) <= len(world)
+    assert (tracks.track_points[["x_m", "y_m"]].to_numpy() == [4.0, 9.0]).all()

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from vtrack_batch.archive.clock import Stamp, stamp_from_parts
+from vtrack_batch.archive.stamps import Stamp, stamp_from_parts
 
 PLATFORM_FIELDS = ("camera", "platform", "sequence")
 

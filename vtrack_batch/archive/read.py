@@ -75,7 +75,7 @@ def _read_settled(file: BinaryIO, max_bytes: int) -> bytes:
     before = os.fstat(file.fileno())
     if before.st_size > max_bytes:
         raise UnusableFrame("too_large", f"a file of {before.st_size} bytes; at most {max_bytes} are read")
-    data = file.read(max_bytes + 1)
+    data = file.read(before.st_size + 1)  # a buffer of just this size is taken: not more than the file may need
     after = os.fstat(file.fileno())
     if (before.st_size, before.st_mtime_ns) != (after.st_size, after.st_mtime_ns) or len(data) != after.st_size:
         raise UnusableFrame("changed_while_reading", "its size or time moved while it was read: still being written")

@@ -2,54 +2,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
 
-from vtrack_batch.archive.clock import Stamp, stamp_from_text
+from vtrack_batch.archive.columns import FrameColumns
 from vtrack_batch.archive.exif import exif_stamp
-from vtrack_batch.archive.index import read_index
+from vtrack_batch.archive.index import Entry, read_index
 from vtrack_batch.archive.names import escape
 from vtrack_batch.archive.params import ArchiveParams
 from vtrack_batch.archive.patterns import AmbiguousNameError, IsoLikeNames, NamePattern, compile_pattern
+from vtrack_batch.archive.stamps import Stamp, stamp_from_text
 from vtrack_batch.archive.walk import File
 from vtrack_batch.errors import ConfigError, UnusableFrame
+from vtrack_batch.model.known import Known
 
 NO_PLATFORM = "main"
-
-
-class KnownFile(NamedTuple):
-    """What an earlier scan and read found of a file; it holds as long as size and mtime are the same."""
-
-    size_bytes: int
-    mtime_ns: int
-    sha256: str | None = None
-    stamp: str | None = None
-
-
-class Frame(NamedTuple):
-    """A frame, its time as written and as understood, and its platform."""
-
-    file: File
-    text: str
-    stamp: Stamp
-    platform: str
+MOST_EXAMPLES = 3
 
 
 @dataclass
 class Findings:
-    """What has been found so far, frame by frame."""
+    """What has been found so far, file by file."""
 
-    files: list[File]
-    frames: list[Frame] = field(default_factory=list)
+    files: Iterable[File]
+    known: Known
+    frames: FrameColumns = field(default_factory=FrameColumns)
     refused: list[tuple[str, str, str]] = field(default_factory=list)
-    others: list[str] = field(default_factory=list)
+    others: int = 0
+    other_examples: list[str] = field(default_factory=list)
     source: str = ""
+
+    def accept(self, file: File, text: str, stamp: Stamp, platform: str) -> None:
+        """Keep a frame whose time is known."""
+        path = escape(file.name)
+        fact = self.known.get(path)
+        sha256 = fact.sha256 if fact is not None and fact[:2] == file[1:] else None
+        self.frames.append(path, file, escape(text), stamp, platform, sha256)
 
     def refuse(self, name: str, reason: str, detail: str) -> None:
         """Put the file *name* aside."""
         self.refused.append((escape(name), reason, detail))
+
+    def pass_over(self, name: str) -> None:
+        """Count a file that is no frame."""
+        self.others += 1
+        if len(self.other_examples) < MOST_EXAMPLES:
+            self.other_examples.append(name)
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,6 @@ class TimeSource:
     root: Path
     params: ArchiveParams
     base: Path
-    known: Mapping[str, KnownFile]
 
     def read(self, findings: Findings) -> None:
         """Sort ``findings.files`` into frames, refused and others; ConfigError if the source fits none of them."""
@@ -75,39 +73,44 @@ class TimeSource:
     def _from_index(self, path: Path, findings: Findings) -> None:
         findings.source = f"the index {path.name}"
         entries = read_index(path)
-        by_name = {file.name: file for file in findings.files}
+        total, found = len(entries), 0
         for file in findings.files:
-            if file.name not in entries:
+            lines = entries.pop(file.name, None)
+            if lines is None:
                 self._other(file, "not_in_index", f"{path.name} has no line for it", findings)
-        for name, lines in entries.items():
-            first = lines[0]
-            stamp = stamp_from_text(first.time)
-            if name not in by_name:
-                findings.refuse(
-                    name, "file_missing", f"named in line {first.line} of {path.name}, but not in the archive"
-                )
-            elif any(line[1:] != first[1:] for line in lines):
-                numbers = ", ".join(str(line.line) for line in lines[:5])
-                findings.refuse(name, "index_contradicts", f"lines {numbers} of {path.name} do not agree on it")
-            elif stamp is None:
-                detail = f"line {first.line} of {path.name}: {escape(first.time)[:60]!r} is no ISO 8601 date and time"
-                findings.refuse(name, "time_unreadable", detail)
             else:
-                platform = escape(first.platform) if first.platform else self._directory(name)
-                findings.frames.append(Frame(by_name[name], first.time, stamp, platform))
-        if entries and not findings.frames and not any(name in by_name for name in entries):
+                found += 1
+                self._indexed(file, lines, path.name, findings)
+        for name, lines in entries.items():
+            findings.refuse(
+                name, "file_missing", f"named in line {lines[0].line} of {path.name}, but not in the archive"
+            )
+        if total and not found:
             example = escape(next(iter(entries)))
             raise ConfigError(
-                f"archive.index: none of the {len(entries)} files in {path} lies below {self.root}, e.g. {example}"
+                f"archive.index: none of the {total} files in {path} lies below {self.root}, e.g. {example}"
             )
+
+    def _indexed(self, file: File, lines: list[Entry], index: str, findings: Findings) -> None:
+        first = lines[0]
+        stamp = stamp_from_text(first.time)
+        if any(line[1:] != first[1:] for line in lines):
+            numbers = ", ".join(str(line.line) for line in lines[:5])
+            findings.refuse(file.name, "index_contradicts", f"lines {numbers} of {index} do not agree on it")
+        elif stamp is None:
+            detail = f"line {first.line} of {index}: {escape(first.time)[:60]!r} is no ISO 8601 date and time"
+            findings.refuse(file.name, "time_unreadable", detail)
+        else:
+            platform = escape(first.platform) if first.platform else self._directory(file.name)
+            findings.accept(file, first.time, stamp, platform)
 
     def _from_exif(self, findings: Findings) -> None:
         findings.source = "EXIF"
         for file in findings.files:
             if not has_extension(file.name, self.params):
-                findings.others.append(file.name)
+                findings.pass_over(file.name)
                 continue
-            fact = self.known.get(escape(file.name))
+            fact = findings.known.get(escape(file.name))
             try:
                 if fact is not None and fact.stamp and fact[:2] == file[1:]:
                     text = fact.stamp
@@ -120,13 +123,9 @@ class TimeSource:
             if stamp is None:
                 findings.refuse(file.name, "time_unreadable", f"EXIF says {escape(text)[:60]!r}")
             else:
-                findings.frames.append(Frame(file, text, stamp, self._directory(file.name)))
-        if (
-            findings.files
-            and findings.refused
-            and all(row[1] == "no_exif_time" for row in findings.refused)
-            and not findings.frames
-        ):
+                findings.accept(file, text, stamp, self._directory(file.name))
+        timeless = findings.refused and all(row[1] == "no_exif_time" for row in findings.refused)
+        if timeless and not len(findings.frames):
             raise ConfigError(
                 "archive.exif: no frame holds DateTimeOriginal; write archive.pattern or archive.index instead"
             )
@@ -137,7 +136,7 @@ class TimeSource:
         given = isinstance(pattern, NamePattern)
         for file in findings.files:
             if not given and not has_extension(file.name, self.params):
-                findings.others.append(file.name)
+                findings.pass_over(file.name)
                 continue
             try:
                 reading = pattern.read(file.name)
@@ -150,7 +149,7 @@ class TimeSource:
                 findings.refuse(file.name, "time_unreadable", "its digits are no date and time of day")
                 continue
             platform = escape(reading.platform) if reading.platform else self._directory(file.name, pattern.whole_path)
-            findings.frames.append(Frame(file, _base(file.name), reading.stamp, platform))
+            findings.accept(file, _base(file.name), reading.stamp, platform)
         self._judge_strangers(strangers, pattern, findings)
 
     def _judge_strangers(self, strangers: list[File], pattern: NamePattern | IsoLikeNames, findings: Findings) -> None:
@@ -176,7 +175,7 @@ class TimeSource:
         if has_extension(file.name, self.params):
             findings.refuse(file.name, reason, detail)
         else:
-            findings.others.append(file.name)
+            findings.pass_over(file.name)
 
     def _directory(self, name: str, directories_are_spoken_for: bool = False) -> str:
         if self.params.platform_from == "none" or directories_are_spoken_for:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import stat
-from dataclasses import dataclass, field
+import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 from vtrack_batch.errors import NoArchive
+
+RACY_S = 2.0
+"""A file modified so recently may change again within the clock's resolution."""
 
 _TEMPORARY_ENDINGS = ("~", ".part", ".partial", ".tmp", ".temp", ".crdownload", ".filepart", ".swp")
 
@@ -21,42 +26,60 @@ class File(NamedTuple):
     mtime_ns: int
 
 
-@dataclass
-class Listing:
-    """Regular files by the bytes of their paths; what was passed over (name, reason, detail); directories entered."""
+class Refused(NamedTuple):
+    """Something that is passed over: a link, pipe or socket, a directory that cannot be read."""
 
-    files: list[File] = field(default_factory=list)
-    refused: list[tuple[str, str, str]] = field(default_factory=list)
+    name: str
+    reason: str
+    detail: str
 
 
-def walk(root: Path) -> Listing:
-    """List the regular files below *root*, without following links and without hidden or temporary names.
+def walk(root: Path) -> Iterator[File | Refused]:
+    """Yield the regular files below *root* by the bytes of their paths, without following links.
 
-    Links, pipes and sockets with any name, and directories that cannot be read, are in ``refused``. Raises NoArchive if
-    *root* is missing, no directory or unreadable.
+    Hidden and temporary names are left out. No more than the names of one directory, and of those that lead to it, are
+    held at a time. Raises NoArchive if *root* is missing, no directory or unreadable.
     """
     if not root.exists():
         raise NoArchive(f"the archive {root} does not exist")
     if not root.is_dir():
         raise NoArchive(f"the archive {root} is not a directory")
-    listing = Listing()
-    pending = [""]
-    while pending:
-        directory = pending.pop()
-        try:
-            with os.scandir(root / directory) as entries:
-                found = list(entries)
-        except OSError as error:
-            if not directory:
-                raise NoArchive(f"the archive {root} cannot be read: {error.strerror}") from error
-            listing.refused.append((directory, "permission", f"the directory cannot be read: {error.strerror}"))
-            continue
-        for entry in found:
-            if not is_temporary(entry.name):
-                _sort_in(entry, f"{directory}/{entry.name}" if directory else entry.name, listing, pending)
-    listing.files.sort(key=lambda file: os.fsencode(file.name))
-    listing.refused.sort(key=lambda row: os.fsencode(row[0]))
-    return listing
+    try:
+        top = _names(root)
+    except OSError as error:
+        raise NoArchive(f"the archive {root} cannot be read: {error.strerror}") from error
+    yield from _below(os.fspath(root), top)
+
+
+class Fingerprint:
+    """Of the names, sizes and times of the files that are older than *settle_s*."""
+
+    def __init__(self, settle_s: float) -> None:
+        self._digest = hashlib.sha256()
+        self._now_ns = time.time_ns()
+        self._settle_ns = int(settle_s * 1e9)
+        self._trusted = True
+
+    def add(self, found: File | Refused) -> bool:
+        """Take in what `walk` yields next; returns whether it is old enough to be read."""
+        age_ns = self._now_ns - found.mtime_ns if isinstance(found, File) else self._settle_ns
+        if age_ns < self._settle_ns and self._settle_ns:
+            return False
+        self._trusted &= age_ns >= RACY_S * 1e9 or isinstance(found, Refused)
+        self._digest.update("\0".join(map(str, found)).encode("utf-8", "surrogateescape") + b"\n")
+        return True
+
+    def value(self) -> str | None:
+        """Return the fingerprint; None where a file changed so recently that it may change again without a trace."""
+        return self._digest.hexdigest() if self._trusted else None
+
+
+def listing_of(root: Path, *, settle_s: float = 0.0) -> str | None:
+    """Return the fingerprint of all files below *root*; raises NoArchive."""
+    fingerprint = Fingerprint(settle_s)
+    for found in walk(root):
+        fingerprint.add(found)
+    return fingerprint.value()
 
 
 def is_temporary(name: str) -> bool:
@@ -64,18 +87,49 @@ def is_temporary(name: str) -> bool:
     return name.startswith(".") or name.lower().endswith(_TEMPORARY_ENDINGS)
 
 
-def _sort_in(entry: os.DirEntry[str], name: str, listing: Listing, pending: list[str]) -> None:
+def _names(directory: str | Path) -> list[str]:
+    """Return the names in *directory*, those of directories with a '/' at the end, in the order of whole paths."""
+    with os.scandir(directory) as entries:
+        names = [
+            f"{entry.name}/" if entry.is_dir(follow_symlinks=False) else entry.name
+            for entry in entries
+            if not is_temporary(entry.name)
+        ]
+    names.sort(key=os.fsencode)
+    return names
+
+
+def _below(root: str, top: list[str]) -> Iterator[File | Refused]:
+    # a stack rather than recursion: folders may be nested deeper than Python calls
+    stack = [("", iter(top))]
+    while stack:
+        prefix, names = stack[-1]
+        name = next(names, None)
+        if name is None:
+            stack.pop()
+            continue
+        path = prefix + name
+        if not path.endswith("/"):
+            found = _looked_at(f"{root}/{path}", path)
+            if found is not None:
+                yield found
+            continue
+        try:
+            stack.append((path, iter(_names(f"{root}/{path}"))))
+        except FileNotFoundError:
+            continue  # removed while we looked: it is not there
+        except OSError as error:
+            yield Refused(path[:-1], "permission", f"the directory cannot be read: {error.strerror}")
+
+
+def _looked_at(place: str, name: str) -> File | Refused | None:
     try:
-        status = entry.stat(follow_symlinks=False)
+        status = os.stat(place, follow_symlinks=False)  # noqa: PTH116 # a path object costs more than the question
     except FileNotFoundError:
-        return  # removed while we looked: it is not there
+        return None
     except OSError as error:
-        listing.refused.append((name, "io_error", f"its size and time cannot be read: {error.strerror}"))
-        return
-    if stat.S_ISDIR(status.st_mode):
-        pending.append(name)
-    elif stat.S_ISREG(status.st_mode):
-        listing.files.append(File(name, status.st_size, status.st_mtime_ns))
-    else:
-        kind = "a symbolic link" if stat.S_ISLNK(status.st_mode) else "a pipe, socket or device"
-        listing.refused.append((name, "not_a_regular_file", f"{kind} is not followed"))
+        return Refused(name, "io_error", f"its size and time cannot be read: {error.strerror}")
+    if stat.S_ISREG(status.st_mode):
+        return File(name, status.st_size, status.st_mtime_ns)
+    kind = "a symbolic link" if stat.S_ISLNK(status.st_mode) else "a pipe, socket or device"
+    return Refused(name, "not_a_regular_file", f"{kind} is not followed")

@@ -8,8 +8,8 @@ Steps of ``learn.learn_background``
 
 1. ``exposure``: every sample is brought to the reference's exposure, first by a monotone map per channel, then by a
    smooth gain (drifting cloud shade). Both rest on medians over flat ground, so vehicles do not steer them.
-2. ``ranks``: samples are warped once, strip by strip, and their exact temporal median is taken by a pruned sorting
-   network of byte-wise minima and maxima. Ground that a sample does not cover votes for neither side.
+2. ``stacks``, ``ranks``: samples are warped once, strip by strip, and their exact temporal median is taken by a pruned
+   sorting network of byte-wise minima and maxima. Ground that a sample does not cover votes for neither side.
 3. ``mode``: where a place is occupied so often that the median is doubtful (stop lines), samples that look like the
    trafficked ground nearby replace it; where none does, the half-sample mode: vehicles differ in colour, the road does
    not.
@@ -27,5 +27,6 @@ Sources: median by sorting network, Knuth, The Art of Computer Programming 3, 5.
 Robertson and Cryer 1974, Bickel and Fruehwirth 2006; smoothing of the
 exposure map, Eilers 2003; shadows as constant ratios, Horprasert et al. 1999.
 
-Cost: about 70 ms per megapixel and sample on one core; memory 4 bytes per pixel of the result beside the samples.
+Cost: a sample takes as long as decoding it 17 times; memory about 20 bytes per pixel of the result, and a few rows of
+every sample: where samples are kept is the caller's choice.
 """

@@ -73,8 +73,9 @@ def _flat(target: NDArray[np.uint8], usable: NDArray[np.bool_]) -> NDArray[np.bo
     grey = cv2.cvtColor(target, cv2.COLOR_RGB2GRAY)
     square = np.ones((3, 3), np.uint8)
     local_range = cv2.subtract(cv2.dilate(grey, square), cv2.erode(grey, square))
-    middle = np.median(local_range[usable]) if usable.any() else 0
-    return np.asarray(usable & (local_range <= max(float(middle), _FLAT_LEVELS)))
+    below = np.cumsum(np.bincount(local_range[usable], minlength=256))
+    middle = float(np.searchsorted(2 * below, below[-1]))
+    return np.asarray(usable & (local_range <= max(middle, _FLAT_LEVELS)))
 
 
 def _monotone_map(counts: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -83,8 +84,7 @@ def _monotone_map(counts: NDArray[np.int64]) -> NDArray[np.float64]:
     per_level = counts.sum(axis=1)
     if per_level.sum() < _FEWEST_PAIRS:
         return own
-    cumulated = np.cumsum(counts, axis=1)
-    low, middle, high = ((cumulated < share * per_level[:, None]).sum(axis=1).astype(float) for share in _QUARTILES)
+    low, middle, high = _levels_at(counts, np.array(_QUARTILES))
     # Levels at which partners scatter widely are those of things that stand elsewhere in the picture: roofs, markings.
     trust = np.minimum(per_level * (256.0 / per_level.sum()), 1.0) / (1.0 + ((high - low) / _USUAL_SCATTER) ** 2)
     seen_as = _smooth_curve(middle, trust)
@@ -104,8 +104,10 @@ def _smooth_curve(values: NDArray[np.float64], trust: NDArray[np.float64]) -> ND
     own, weight = np.arange(256.0), trust
     line = own
     for _ in range(5):
-        slope, offset = np.polyfit(own, values, 1, w=np.sqrt(weight))
-        line = slope * own + offset
+        centre = np.average(own, weights=weight)
+        spread = weight * (own - centre)
+        slope = float(spread @ values) / max(float(spread @ (own - centre)), 1e-9)
+        line = np.average(values, weights=weight) + slope * (own - centre)
         weight = trust / (1.0 + ((values - line) / _USUAL_SCATTER) ** 2)
     pull = weight + _LINE_TRUST
     bands = np.zeros((3, 256))
@@ -124,6 +126,22 @@ def expose(picture, levels, gain, top):  # type: ignore[no-untyped-def]
             g = gain[(r + top) >> GAIN_SHIFT, c >> GAIN_SHIFT]
             for k in range(3):
                 picture[r, c, k] = np.uint8(min(levels[k, picture[r, c, k]] * g + 0.5, 255.0))
+
+
+@njit(cache=True, nogil=True)
+def _levels_at(counts, shares):  # type: ignore[no-untyped-def]
+    """Return for each of *shares* and each row of *counts* the first column up to which so large a share of it lies."""
+    found = np.zeros((len(shares), counts.shape[0]))
+    for row in range(counts.shape[0]):
+        total = counts[row].sum()
+        for k in range(len(shares)):
+            below = 0
+            for column in range(counts.shape[1]):
+                below += counts[row, column]
+                if below >= shares[k] * total:
+                    found[k, row] = column
+                    break
+    return found
 
 
 @njit(cache=True, nogil=True)

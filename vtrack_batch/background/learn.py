@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
 
 import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from vtrack_batch.background.coverage import has_data
-from vtrack_batch.background.exposure import Exposure, expose, fit_exposure
+from vtrack_batch.background.exposure import Exposure, fit_exposure
 from vtrack_batch.background.mode import replace_busy, road_nearby
 from vtrack_batch.background.params import BackgroundParams
 from vtrack_batch.background.ranks import take_ranks
 from vtrack_batch.background.shadow import Band, Shadows, darkened_ratios, learn_direction, learn_ratio, widest_band
+from vtrack_batch.background.stacks import STRIP_ROWS, Sample, Stacks, points_of
 from vtrack_batch.background.subtract import Difference, subtract
 
-_STRIP_ROWS = 32
+_BUSY_COLUMNS = 256
 _POINT_STEP_PX = 3
 _UNSEEN_TOLERANCE = 255
 _SHADOW_SAMPLES = 7
@@ -29,14 +30,6 @@ _WHOLLY = 0.999
 # A third of the |deviations| of a Gaussian lie below 0.43 standard deviations; of the largest of three, partly
 # correlated channels below about 0.7.
 _THIRD_TO_SIGMA = 1 / 0.7
-
-
-@dataclass(frozen=True, eq=False)
-class Sample:
-    """A frame (H, W, 3) uint8 RGB and its homography to the block's reference frame."""
-
-    pixels: NDArray[np.uint8]
-    frame_to_reference: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +47,7 @@ class Background:
     shadows: Shadows
     samples: int
     range_share: float
+    _coarser: dict[tuple[int, int], NDArray[np.uint8]] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def pixels(self) -> NDArray[np.uint8]:
@@ -69,6 +63,11 @@ class Background:
         """Return colour and tolerance (h, w, 4) uint8 on a grid coarser by whole steps, for ``subtract``."""
         if step_x == step_y == 1:
             return self.levels
+        if (step_x, step_y) not in self._coarser:
+            self._coarser[step_x, step_y] = self._reduced(step_x, step_y)
+        return self._coarser[step_x, step_y]
+
+    def _reduced(self, step_x: int, step_y: int) -> NDArray[np.uint8]:
         height, width = self.seen.shape
         size = (width // step_x, height // step_y)
         rows, columns = size[1] * step_y, size[0] * step_x
@@ -92,11 +91,14 @@ def learn_background(samples: Sequence[Sample], *, params: BackgroundParams) -> 
         raise ValueError("a background needs at least one sample")
     if len({sample.pixels.shape for sample in samples}) > 1:
         raise ValueError("samples of one background must have one size")
-    covered = [has_data(sample.pixels) for sample in samples]
-    stacks = _Stacks(samples, covered, _exposures(samples, covered, params))
+    stacks = Stacks(samples, _exposures(samples, params))
     strips = _strips(samples[0].pixels.shape[0])
-    parts = [_median_strip(stacks, rows, params) for rows in strips]
-    pixels, spread, changed, seen = (np.concatenate([part[i] for part in parts]) for i in range(4))
+    height, width = samples[0].pixels.shape[:2]
+    pixels, seen = np.empty((height, width, 3), np.uint8), np.empty((height, width), np.bool_)
+    spread, changed = np.empty((height, width), np.uint8), np.empty((height, width), np.float32)
+    for top, bottom in strips:
+        at = slice(top, bottom)
+        pixels[at], spread[at], changed[at], seen[at] = _median_strip(stacks, (top, bottom), params)
     if len(samples) >= _FEWEST_FOR_MODE:
         _free_busy_places(stacks, strips, (pixels, spread, changed), params)
     tolerance = _tolerance(pixels, spread, seen, params)
@@ -110,20 +112,13 @@ def learn_background(samples: Sequence[Sample], *, params: BackgroundParams) -> 
 # exposure -------------------------------------------------------------------------------------------------------------
 
 
-def _exposures(
-    samples: Sequence[Sample], covered: Sequence[NDArray[np.uint8]], params: BackgroundParams
-) -> list[Exposure]:
-    reference = _reference(samples)
+def _exposures(samples: Sequence[Sample], params: BackgroundParams) -> list[Exposure]:
     step = _POINT_STEP_PX
-    target = np.ascontiguousarray(samples[reference].pixels[::step, ::step])
-    seen = covered[reference][::step, ::step] > 0
-    size = (target.shape[1], target.shape[0])
+    target, seen = points_of(replace(samples[_reference(samples)], frame_to_reference=np.eye(3)), step)
     found = []
-    for sample, mask in zip(samples, covered, strict=True):
-        to_frame = np.asarray(np.linalg.inv(sample.frame_to_reference) @ np.diag([step, step, 1.0]), float)
-        picture = _warp(sample.pixels, to_frame, size, cv2.INTER_NEAREST)
-        usable = seen & (_warp(mask, to_frame, size, cv2.INTER_NEAREST) > 0)
-        found.append(fit_exposure(picture, target, usable, tile_px=params.gain_tile_px / step))
+    for sample in samples:
+        picture, covered = points_of(sample, step)
+        found.append(fit_exposure(picture, target, seen & covered, tile_px=params.gain_tile_px / step))
     return found
 
 
@@ -132,47 +127,19 @@ def _reference(samples: Sequence[Sample]) -> int:
     return int(np.argmin(off)) if min(off) < 1e-9 else 0
 
 
-def _warp(
-    image: NDArray[np.uint8], to_source: NDArray[np.float64], size: tuple[int, int], how: int
-) -> NDArray[np.uint8]:
-    return np.asarray(cv2.warpPerspective(image, to_source, size, flags=how | cv2.WARP_INVERSE_MAP), np.uint8)
-
-
 # strips ---------------------------------------------------------------------------------------------------------------
 
 
 def _strips(height: int) -> list[tuple[int, int]]:
-    return [(top, min(height, top + _STRIP_ROWS)) for top in range(0, height, _STRIP_ROWS)]
+    return [(top, min(height, top + STRIP_ROWS)) for top in range(0, height, STRIP_ROWS)]
 
 
 Strip = tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.float32], NDArray[np.bool_]]
 
 
-@dataclass(frozen=True, eq=False)
-class _Stacks:
-    """Gives the rows of all samples at the reference's place and exposure, some at a time."""
-
-    samples: Sequence[Sample]
-    masks: Sequence[NDArray[np.uint8]]
-    exposures: Sequence[Exposure]
-
-    def rows(self, top: int, bottom: int) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-        """Return the samples' colours (n, h, w, 3) and where each covers the ground (n, h, w)."""
-        height, width = self.samples[0].pixels.shape[:2]
-        stack = np.empty((len(self.samples), bottom - top, width, 3), np.uint8)
-        covered = np.empty(stack.shape[:3], np.bool_)
-        down = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, top], [0.0, 0.0, 1.0]])
-        for i, (sample, mask, exposure) in enumerate(zip(self.samples, self.masks, self.exposures, strict=True)):
-            to_frame = np.linalg.inv(sample.frame_to_reference) @ down
-            stack[i] = _warp(sample.pixels, to_frame, (width, bottom - top), cv2.INTER_LINEAR)
-            covered[i] = _warp(mask, to_frame, (width, bottom - top), cv2.INTER_LINEAR) == 255
-            expose(stack[i], exposure.levels, exposure.gain_map(height, width), top)
-        return stack, covered
-
-
-def _median_strip(stacks: _Stacks, rows: tuple[int, int], params: BackgroundParams) -> Strip:
+def _median_strip(stacks: Stacks, rows: tuple[int, int], params: BackgroundParams) -> Strip:
     """Return colour, temporal spread, share of samples that differ, and whether seen, for the rows top..bottom."""
-    stack, covered = stacks.rows(*rows)
+    stack, covered = stacks.part(rows, (0, stacks.samples[0].pixels.shape[1]))
     count = len(stack)
     middle = ((count - 1) // 2, count // 2)
     padded = stack.copy()
@@ -186,7 +153,7 @@ def _median_strip(stacks: _Stacks, rows: tuple[int, int], params: BackgroundPara
 
 
 def _free_busy_places(
-    stacks: _Stacks,
+    stacks: Stacks,
     strips: Sequence[tuple[int, int]],
     learned: tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.float32]],
     params: BackgroundParams,
@@ -196,13 +163,16 @@ def _free_busy_places(
     busy = changed > params.busy_share
     traffic = (changed > _LEAST_TRAFFIC / len(stacks.samples)) & ~(changed > 0.8 * params.busy_share)
     road = road_nearby(pixels, traffic)
-    for top, bottom in strips:
-        if not busy[top:bottom].any():
+    for (top, bottom), left in product(strips, range(0, busy.shape[1], _BUSY_COLUMNS)):
+        at = slice(top, bottom), slice(left, left + _BUSY_COLUMNS)
+        if not busy[at].any():
             continue
-        stack, covered = stacks.rows(top, bottom)
-        replace_busy(pixels[top:bottom], stack, covered, busy[top:bottom], road[top:bottom])
-        deviation, changed[top:bottom] = _deviations(stack, covered, pixels[top:bottom], params.change_levels)
-        (spread[top:bottom],) = take_ranks(deviation, (len(stack) // _THIRD,))
+        stack, covered = stacks.part((top, bottom), (left, left + busy[at].shape[1]))
+        image = np.ascontiguousarray(pixels[at])
+        replace_busy(image, stack, covered, np.ascontiguousarray(busy[at]), np.ascontiguousarray(road[at]))
+        pixels[at] = image
+        deviation, changed[at] = _deviations(stack, covered, image, params.change_levels)
+        (spread[at],) = take_ranks(deviation, (len(stack) // _THIRD,))
 
 
 @njit(cache=True, nogil=True)
@@ -254,13 +224,17 @@ def _local_range(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def _tolerance(
     pixels: NDArray[np.uint8], spread: NDArray[np.uint8], seen: NDArray[np.bool_], params: BackgroundParams
 ) -> NDArray[np.uint8]:
-    sigma = cv2.blur(spread.astype(np.float32), (3, 3)) * _THIRD_TO_SIGMA
+    sigma = np.asarray(cv2.blur(spread.astype(np.float32), (3, 3)), np.float32)
+    sigma *= np.float32(_THIRD_TO_SIGMA)
     # What every pixel shows is noise, which the threshold of the difference already covers.
-    noise = float(np.median(sigma[seen])) if seen.any() else 0.0
+    sigma -= np.median(sigma[seen]) if seen.any() else np.float32(0)
+    np.maximum(sigma, 0, out=sigma)
+    sigma *= np.float32(params.spread_factor)
     # The cap keeps places open that are occupied most of the time: stop lines.
-    restless = np.minimum(params.spread_factor * np.maximum(0.0, sigma - noise), params.spread_limit_levels)
-    levels = params.range_share * _local_range(pixels) + restless
-    levels = np.minimum(levels, _UNSEEN_TOLERANCE - 1).astype(np.uint8)
+    np.minimum(sigma, np.float32(params.spread_limit_levels), out=sigma)
+    sigma += np.float32(params.range_share) * _local_range(pixels)
+    np.minimum(sigma, _UNSEEN_TOLERANCE - 1, out=sigma)
+    levels = sigma.astype(np.uint8)
     levels[~seen] = _UNSEEN_TOLERANCE
     return levels
 
@@ -268,21 +242,22 @@ def _tolerance(
 def _shadows(samples: Sequence[Sample], ground: NDArray[np.uint8], params: BackgroundParams) -> Shadows:
     chosen = np.unique(np.linspace(0, len(samples) - 1, _SHADOW_SAMPLES).round().astype(int))
 
-    def differences(band: Band) -> list[Difference]:
-        return [
-            subtract(
-                samples[i].pixels,
+    def differences(band: Band) -> Iterator[Difference]:
+        for i in chosen:
+            yield subtract(
+                samples[i].pixels[:],
                 ground,
                 samples[i].frame_to_reference,
                 threshold=params.change_levels,
                 shadow_band=band,
                 tile_px=params.gain_tile_px,
             )
-            for i in chosen
-        ]
 
+    # One at a time: a difference is larger than its frame.
     found = differences(widest_band(params.shadow_ratio_min, params.shadow_ratio_max))
-    ratios = [darkened_ratios(samples[i].pixels, found[n], params) for n, i in enumerate(chosen)]
+    ratios = [
+        darkened_ratios(samples[i].pixels[:], difference, params) for i, difference in zip(chosen, found, strict=True)
+    ]
     shadows = Shadows(learn_ratio(np.concatenate(ratios), params))
     if shadows.ratio is None:
         return shadows

@@ -29,7 +29,9 @@ def road_nearby(pixels: NDArray[np.uint8], traffic: NDArray[np.bool_]) -> NDArra
     cells = (-(-width // _CELL_PX), -(-height // _CELL_PX))
     weight = traffic.astype(np.float32)
     share = cv2.resize(weight, cells, interpolation=cv2.INTER_AREA)
-    colour = cv2.resize(pixels * weight[:, :, None], cells, interpolation=cv2.INTER_AREA)
+    # Channel by channel, for memory's sake.
+    parts = [cv2.resize(pixels[:, :, k] * weight, cells, interpolation=cv2.INTER_AREA) for k in range(3)]
+    colour = np.stack(parts, axis=2)
     road = np.zeros_like(colour)
     open_ = np.ones(share.shape, np.bool_)
     for reach in _REACHES_PX:

@@ -6,7 +6,7 @@ up at one value where the sun shines and nowhere in particular where it does not
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -87,7 +87,7 @@ def darkened_ratios(frame: NDArray[np.uint8], difference: Difference, params: Ba
 
 
 def learn_direction(
-    differences: Sequence[Difference], poses: Sequence[NDArray[np.float64]]
+    differences: Iterable[Difference], poses: Sequence[NDArray[np.float64]]
 ) -> tuple[float, float] | None:
     """Return the direction from things to their shadows, None where shadows lie on all sides alike.
 

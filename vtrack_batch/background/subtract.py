@@ -22,6 +22,8 @@ FULL = 100
 
 _UNSEEN = 255
 _POINT_STEP_PX = 3
+_POINTS_PER_TILE_SIDE = 12
+_POINTS = 50_000
 _DARKEST_LEVEL = 24
 
 
@@ -65,36 +67,49 @@ def subtract(
         ),
         np.uint8,
     )
-    step = _POINT_STEP_PX
+    step = _point_step(height * width, tile_px)
     points = seen[::step, ::step]
     picture, target = np.ascontiguousarray(frame[::step, ::step]), np.ascontiguousarray(points[:, :, :3])
     exposure = fit_exposure(picture, target, points[:, :, 3] < _UNSEEN, tile_px=tile_px / step)
-    evidence, classes = np.empty((height, width), np.uint8), np.empty((height, width), np.uint8)
+    evidence, classes = np.zeros((height, width), np.uint8), np.zeros((height, width), np.uint8)
     _classify(frame, seen, exposure.levels, exposure.gain_map(height, width), threshold, shadow_band, evidence, classes)
     return Difference(evidence, classes, exposure, seen)
 
 
+def _point_step(pixels: int, tile_px: float) -> int:
+    """Return the distance of the points from which the exposure is told: many in all, and some in every tile."""
+    return max(_POINT_STEP_PX, min(round(tile_px / _POINTS_PER_TILE_SIDE), int((pixels / _POINTS) ** 0.5)))
+
+
 @njit(cache=True, nogil=True)
 def _classify(frame, ground, levels, gain, threshold, shadow, evidence, classes):  # type: ignore[no-untyped-def]
+    """Fill *evidence* and *classes*, both zero before."""
     for r in range(frame.shape[0]):
+        gains = gain[r >> GAIN_SHIFT]
         for c in range(frame.shape[1]):
-            tolerance = float(ground[r, c, 3])
+            tolerance = ground[r, c, 3]
             if tolerance == _UNSEEN:
-                evidence[r, c] = 0
                 classes[r, c] = UNSEEN
                 continue
-            g = gain[r >> GAIN_SHIFT, c >> GAIN_SHIFT]
-            largest, brightest, shaded = 0.0, 0.0, True
-            for k in range(3):
-                level, expected = levels[k, frame[r, c, k]] * g, float(ground[r, c, k])
-                largest = max(largest, abs(level - expected))
-                ratio = (level + 2.0) / (expected + 2.0)
-                shaded = shaded and shadow[k, 0] <= ratio <= shadow[k, 1]
-                brightest = max(brightest, expected)
-            strength = (largest - tolerance) / threshold - 0.5
-            if strength <= 0.0:
-                evidence[r, c] = 0
-                classes[r, c] = GROUND
-                continue
-            evidence[r, c] = int(min(strength, 1.0) * FULL)
-            classes[r, c] = SHADOW if shaded and brightest >= _DARKEST_LEVEL else OBJECT
+            g = gains[c >> GAIN_SHIFT]
+            red = abs(levels[0, frame[r, c, 0]] * g - ground[r, c, 0])
+            green = abs(levels[1, frame[r, c, 1]] * g - ground[r, c, 1])
+            blue = abs(levels[2, frame[r, c, 2]] * g - ground[r, c, 2])
+            strength = (max(red, green, blue) - tolerance) / threshold - 0.5
+            # Most pixels show the ground: nothing more is asked of them.
+            if strength > 0.0:
+                evidence[r, c] = int(min(strength, 1.0) * FULL)
+                classes[r, c] = SHADOW if _is_shaded(frame[r, c], ground[r, c], levels, g, shadow) else OBJECT
+
+
+@njit(cache=True, nogil=True)
+def _is_shaded(colour, ground, levels, gain, shadow):  # type: ignore[no-untyped-def]
+    """Whether the ratio to the ground is that of a cast shadow in all channels, on ground light enough to tell."""
+    brightest = 0.0
+    for k in range(3):
+        level, expected = levels[k, colour[k]] * gain, float(ground[k])
+        ratio = (level + 2.0) / (expected + 2.0)
+        if not shadow[k, 0] <= ratio <= shadow[k, 1]:
+            return False
+        brightest = max(brightest, expected)
+    return brightest >= _DARKEST_LEVEL

@@ -12,7 +12,10 @@ import click
 from vtrack_batch import __version__
 from vtrack_batch.errors import VtrackError
 
-COMMANDS = ("init", "check", "run", "status", "inspect", "schema", "evaluate", "simulate", "match", "track")
+COMMANDS = (
+    "init", "check", "run", "status", "explain", "inspect", "quarantine", "verify", "repair", "gc", "doctor", "schema",
+    "evaluate", "simulate", "match", "track", "learn",
+)  # fmt: skip
 
 
 class LazyGroup(click.Group):
@@ -48,8 +51,15 @@ def main() -> None:
     """Run the command line and exit with the code that the contract gives each outcome."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # unwinds as Ctrl-C does: workers end, the lock is let go
+    signal.signal(signal.SIGTERM, _stop)
     sys.exit(_outcome(sys.argv[1:]))
+
+
+def _stop(*_: object) -> None:
+    """Unwind as Ctrl-C does: workers end, the lock is let go; a second signal ends it at once."""
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    click.echo("stopped: what is finished is kept, a new run goes on from there", err=True)
+    sys.exit(143)
 
 
 def _outcome(arguments: list[str]) -> int:

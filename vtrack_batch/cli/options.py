@@ -15,8 +15,55 @@ out_folder = click.option(
     "--out", type=click.Path(path_type=Path), help="Result folder, in place of output.root in the survey file."
 )
 as_json = click.option("--json", "as_json", is_flag=True, help="Answer as JSON.")
+wait = click.option(
+    "--wait", "wait_s", type=click.FloatRange(0), default=0.0, help="Seconds to wait for another run to end."
+)
 quiet = click.option("-q", "--quiet", is_flag=True, help="Say nothing but errors.")
 verbose = click.option("-v", "--verbose", is_flag=True, help="Say more.")
+
+METHODS = (
+    "default", "untrained", "original", "colour", "opposite", "proposed", "regions", "assignment", "nearest",
+)  # fmt: skip
+method = click.option("--method", type=click.Choice(METHODS), default="default", show_default=True, help="What links.")
+flow_map = click.option("--flow-map", type=click.Path(path_type=Path), help="Flow map of the place, made by `learn`.")
+
+
+def foreign_table(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options that declare what the columns of anybody's table of detections mean."""
+    for option in reversed(_FOREIGN):
+        command = option(command)
+    return command
+
+
+_FOREIGN = (
+    click.option(
+        "--column", "columns", multiple=True, metavar="OURS=THEIRS", help="Name of a column, say x_m=Local_X."
+    ),
+    click.option(
+        "--metres-per-unit",
+        type=click.FloatRange(min=0, min_open=True),
+        default=1.0,
+        help="Unit of x and y; 0.33 for pixels of 33 cm.",
+    ),
+    click.option("--y-down", is_flag=True, help="y grows downward, as rows of an image do."),
+    click.option(
+        "--seconds-per-unit",
+        type=click.FloatRange(min=0, min_open=True),
+        help="Unit of times that are numbers, counted from 1970-01-01 UTC.",
+    ),
+    click.option("--time-zone", help="Zone of times that name none, say UTC."),
+)
+
+
+def declared(chosen: Mapping[str, Any]) -> Any:
+    """Return what the options of ``foreign_table`` declare."""
+    from vtrack_batch.pipeline.foreign import Declared
+
+    for pair in chosen["columns"]:
+        if "=" not in pair:
+            raise click.BadParameter(f"{pair!r} is not OURS=THEIRS", param_hint="--column")
+    named = {**chosen, "columns": dict(pair.split("=", 1) for pair in chosen["columns"])}
+    return Declared(**named)
 
 
 def speaker(quiet: bool) -> Callable[[str], None]:
@@ -26,7 +73,12 @@ def speaker(quiet: bool) -> Callable[[str], None]:
 
 def answer(value: Any, text: str, *, as_json: bool) -> None:
     """Write the answer to stdout: *value* as JSON, or *text*."""
-    click.echo(json.dumps(_plain(value), indent=2, sort_keys=True, ensure_ascii=False) if as_json else text)
+    click.echo(as_text(value) if as_json else text)
+
+
+def as_text(value: Any) -> str:
+    """Return *value* as JSON for people and programs."""
+    return json.dumps(_plain(value), indent=2, sort_keys=True, ensure_ascii=False)
 
 
 def _plain(value: Any) -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from pydantic import BaseModel
@@ -39,6 +39,31 @@ def example_yaml(chosen: Mapping[str, Mapping[str, Any] | Any] | None = None, *,
         for line in lines
     ]
     return "\n".join(lines).rstrip() + "\n"
+
+
+def survey_page() -> str:
+    """Return the reference of the survey file in Markdown: every key with its default and what it means."""
+    lines = ["# The survey file", "", "Made by `make docs` from the parameters' own descriptions.", ""]
+    lines += ["Lengths are in metres, times in seconds, speeds in metres a second; paths are relative to the file."]
+    lines += ["Every key is optional but `georeference.gsd_m`, where frames do not tell it themselves.", ""]
+    survey = Survey()
+    for name, field in Survey.model_fields.items():
+        value = getattr(survey, name)
+        lines += [f"## {name}", "", field.description or "", ""]
+        lines += ["| key | default | meaning |", "|---|---|---|"]
+        rows = _rows(value, "") if isinstance(value, BaseModel) else [(name, value, field.description or "")]
+        lines += [f"| `{key}` | `{_scalar(default)}` | {text} |" for key, default, text in rows]
+        lines.append("")
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _rows(values: BaseModel, prefix: str) -> Iterator[tuple[str, Any, str]]:
+    for name, field in type(values).model_fields.items():
+        value = getattr(values, name)
+        if isinstance(value, BaseModel):
+            yield from _rows(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value, (field.description or "").replace("|", "or")
 
 
 def schema_json() -> str:

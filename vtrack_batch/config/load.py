@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -12,6 +11,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.events import AliasEvent, NodeEvent
 
+from vtrack_batch.config.messages import sentences
 from vtrack_batch.config.survey import Survey
 from vtrack_batch.errors import ConfigError
 
@@ -35,7 +35,7 @@ def load_params(path: Path, model: type[Model]) -> Model:
     try:
         return model.model_validate(_plain(tree))
     except ValidationError as problem:
-        lines = [_sentence(path.name, tree, model, error) for error in problem.errors()]
+        lines = list(sentences(problem.errors(), tree, model, file=path.name))
         count = f"{len(lines)} error{'s' if len(lines) > 1 else ''}"
         schema = ". Schema: vtrack-batch schema config" if model is Survey else ""
         raise ConfigError("\n".join([*lines, f"{count}{schema}"])) from None
@@ -95,63 +95,3 @@ def _plain(node: Any) -> Any:
         if isinstance(node, kind):
             return kind(node)
     return node
-
-
-def _sentence(file: str, tree: Any, model: type[BaseModel], error: Any) -> str:
-    loc: tuple[int | str, ...] = error["loc"]
-    line, column = _position(tree, loc)
-    where = f"{file}:{line}:{column}"
-    if error["type"] == "extra_forbidden":
-        known = list(_fields_at(model, loc[:-1]))
-        near = difflib.get_close_matches(str(loc[-1]), known, n=1, cutoff=0.6)
-        inside = f' in "{".".join(map(str, loc[:-1]))}"' if len(loc) > 1 else ""
-        hint = f'did you mean "{near[0]}"?' if near else f"known here: {', '.join(known)}"
-        return f'{where}: unknown key "{loc[-1]}"{inside}; {hint}'
-    message = str(error["msg"]).removeprefix("Value error, ")
-    found = error.get("input")
-    shown = f" (found {found!r})" if isinstance(found, str | int | float | bool) else ""
-    name = ".".join(str(part) for part in loc)
-    return f"{where}: {name + ': ' if name else ''}{message}{shown}"
-
-
-def _position(tree: Any, loc: Sequence[int | str]) -> tuple[int, int]:
-    """Return line and column (from 1) of the deepest part of *loc* that the file holds."""
-    line, column = 1, 1
-    node = tree
-    for part in loc:
-        marks = getattr(node, "lc", None)
-        try:
-            if isinstance(node, Mapping) and part in node and marks is not None:
-                line, column = (n + 1 for n in marks.key(part))
-                node = node[part]
-            elif (
-                isinstance(node, Sequence) and not isinstance(node, str) and isinstance(part, int) and marks is not None
-            ):
-                line, column = (n + 1 for n in marks.item(part))
-                node = node[part]
-            else:
-                break
-        except (KeyError, IndexError, TypeError, AttributeError):
-            break
-    return line, column
-
-
-def _fields_at(model: type[BaseModel], loc: Sequence[int | str]) -> Iterator[str]:
-    """Yield the names of the keys that are known at *loc*."""
-    kind: Any = model
-    for part in loc:
-        if isinstance(kind, type) and issubclass(kind, BaseModel) and part in kind.model_fields:
-            kind = _model_in(kind.model_fields[str(part)].annotation)
-    if isinstance(kind, type) and issubclass(kind, BaseModel):
-        yield from kind.model_fields
-
-
-def _model_in(annotation: Any) -> Any:
-    """Return the parameter class inside an annotation such as ``list[Point] | None``."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    for inner in getattr(annotation, "__args__", ()):
-        found = _model_in(inner)
-        if found is not None:
-            return found
-    return None

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import difflib
 from pathlib import Path
 from typing import Annotated
-from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError, available_timezones
 
 from pydantic import AfterValidator, AwareDatetime, Field, PrivateAttr, model_validator
 
@@ -23,7 +24,9 @@ def _known_zone(name: str) -> str:
     try:
         ZoneInfo(name)
     except (ZoneInfoNotFoundError, ValueError, OSError):
-        raise ValueError(f"{name!r} is not an IANA time zone such as Europe/Berlin or Asia/Tokyo") from None
+        near = difflib.get_close_matches(name, [zone for zone in available_timezones() if "/" in zone], n=1)
+        hint = f'; did you mean "{near[0]}"?' if near else ", such as Europe/Berlin or Asia/Tokyo"
+        raise ValueError(f"expected the name of an IANA time zone, found {name!r}{hint}") from None
     return name
 
 
@@ -59,6 +62,15 @@ class ExecutionParams(Params):
     """How the work is cut and dealt out; nothing here changes a result but unit_s and halo_s."""
 
     workers: int = Field(1, ge=1, le=1024, description="Processes that work at the same time.")
+    cluster: str | None = Field(
+        None, description="Address of a Dask scheduler, such as tcp://host:8786, whose workers do the work instead."
+    )
+    frame_limit_s: float = Field(
+        120.0, gt=0, le=3600, description="A worker that stays at one frame for longer is ended, the frame set aside."
+    )
+    memory_mb: int | None = Field(
+        None, ge=512, description="Memory that one worker process may ask for; without it, what the machine has."
+    )
     unit_s: float = Field(600.0, gt=0, description="Length of a unit of work, aligned to the clock in UTC.")
     halo_s: float = Field(
         120.0, ge=0, description="Frames this near to a unit also serve as samples for its background."

@@ -6,76 +6,49 @@ shadow on the far side from the sun for it. So queues are split, and cars cut by
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from vtrack_batch.background.subtract import FULL, OBJECT, SHADOW, UNSEEN, Difference
+from vtrack_batch.background.subtract import FULL, Difference
 from vtrack_batch.detection.params import DetectionParams
-from vtrack_batch.detection.templates import CAST, FRONT, INSIDE, RIGHT, Templates
+from vtrack_batch.detection.seeds import HIDDEN, find_seeds, make_layers
+from vtrack_batch.detection.templates import CAST, FRONT, INSIDE, LEFT, Templates
 
 Boxes = NDArray[np.float64]
 """(n, 6): column, row (sub-pixel), direction, size (indices), score, share of it that is visible."""
 
-_HIDDEN = -1000
 _TAKEN = -50
 _MOST_TAKEN = 0.3
 _FALLING_OFF = 0.8
-_NEARLY_AS_FULL = 0.15
+_NEARLY_AS_FULL = 0.08
+_HOPEFUL = 0.25
 _HOPE = 0.7
 _HEMMED_IN = 0.3
 
 
-@dataclass(frozen=True, eq=False)
-class Seeds:
-    """Places to try: ``grid`` (n, 2) int64 row and column on a coarse grid of every ``step``-th (row, column) pixel."""
-
-    grid: NDArray[np.int64]
-    step: tuple[int, int]
-
-
-def fit_boxes(difference: Difference, templates: Templates, seeds: Seeds, params: DetectionParams) -> Boxes:
-    """Return boxes whose score is at least ``weak_score``, best first; *seeds* = where to try."""
-    margin = (
-        int(max(np.abs(templates.offsets).max(), np.abs(templates.half_axes).max() + np.abs(templates.shades).max()))
-        + 6
-    )
-    inner, rim, cast = _layers(difference.evidence, difference.classes, margin, params.shadow_evidence)
-    width = inner.shape[1]
-    offsets = templates.offsets[:, 0] * width + templates.offsets[:, 1]
-    places = (seeds.grid * seeds.step + margin) @ np.array([width, 1])
+def fit_boxes(
+    difference: Difference, templates: Templates, px_per_m: tuple[float, float], params: DetectionParams
+) -> Boxes:
+    """Return boxes whose score is at least ``weak_score``, best first, in a picture with *px_per_m* (x, y)."""
+    layers = make_layers(difference, templates.margin, params.shadow_evidence)
+    seeds = find_seeds(layers, px_per_m, params.seed_step_m)
+    width = layers.inner.shape[1]
+    start = templates.margin * width + templates.margin
+    # A place is row * width + column of the frame; counted from the corner of the margin, offsets are never negative.
+    # Unsigned indices spare the check for negative ones, which is half the time of a sum.
+    offsets = (templates.offsets[:, 0] * width + templates.offsets[:, 1] + start).astype(np.uint64)
+    places = (seeds.grid * seeds.step) @ np.array([width, 1])
     weights = np.array([params.rim_weight, params.shadow_weight, params.visible_share, params.weak_score])
-    layers = inner.ravel(), rim.ravel(), cast.ravel()
-    boxes = _fit(
-        *layers, width, offsets, templates.starts, templates.half_axes, templates.shades, seeds.grid, places, weights
-    )
-    boxes[:, :2] -= margin
-    return np.asarray(boxes)
+    flat = layers.inner.ravel(), layers.rim.ravel(), layers.cast.ravel()
+    drawn = offsets, templates.starts, templates.half_axes, templates.shades
+    return np.asarray(_fit(*flat, width, start, *drawn, seeds.grid, places, seeds.core, weights))
 
 
 @njit(cache=True, nogil=True)
-def _layers(evidence, classes, margin, shadow_evidence):  # type: ignore[no-untyped-def]
-    """What each pixel counts for inside a box, on its rim and in its shadow; with a hidden *margin* all around."""
-    height, width = evidence.shape
-    inner = np.full((height + 2 * margin, width + 2 * margin), _HIDDEN, np.int16)
-    rim = np.zeros(inner.shape, np.int16)
-    cast = np.zeros(inner.shape, np.int16)
-    for r in range(height):
-        for c in range(width):
-            kind, value = classes[r, c], np.int16(evidence[r, c])
-            if kind != UNSEEN:
-                i, j = r + margin, c + margin
-                inner[i, j] = np.int16(value * shadow_evidence) if kind == SHADOW else value
-                rim[i, j] = value if kind == OBJECT else 0
-                cast[i, j] = 1 if kind == SHADOW else 0
-    return inner, rim, cast
-
-
-@njit(cache=True, nogil=True)
-def _fit(inner, rim, cast, width, offsets, starts, half_axes, shades, grid, places, weights):  # type: ignore[no-untyped-def]
+def _fit(inner, rim, cast, width, start, offsets, starts, half_axes, shades, grid, places, core, weights):  # type: ignore[no-untyped-def]
     best = np.zeros((len(places), 3))
     queue = [(0.0, 0)]
     queue.clear()
@@ -85,7 +58,8 @@ def _fit(inner, rim, cast, width, offsets, starts, half_axes, shades, grid, plac
         _best_box(inner, rim, cast, offsets, cars, places[i], weights, _HOPE * weak, best[i])
     peaks = _peaks(grid, best[:, 0])
     for i in range(len(places)):
-        # Larger boxes are tried where a car fits better than beside, or is hemmed in; the rest waits for its turn.
+        # Larger boxes are tried where a car fits better than beside, or, at every other seed, is hemmed in; the rest
+        # waits for its turn.
         d = int(best[i, 1])
         if not peaks[i] and best[i, 0] > 0:
             peaks[i] = _rim_share(rim, offsets, starts[d, 0], places[i]) >= _HEMMED_IN
@@ -102,7 +76,7 @@ def _fit(inner, rim, cast, width, offsets, starts, half_axes, shades, grid, plac
         same = _score(inner, rim, cast, offsets, starts[d, k], places[i], weights, -9.0) >= before - 1e-9
         if not (same and peaks[i]):
             # Some of its pixels went to a better box, or only cars were tried: what fits best here?
-            if inner[places[i]] != _TAKEN:
+            if _is_open(inner, width, places[i] + start, core):
                 _best_box(inner, rim, cast, offsets, starts, places[i], weights, weak, best[i])
                 if weak <= best[i, 0] and (best[i, 0] < before or not peaks[i]):
                     heappush(queue, (-best[i, 0], i))
@@ -114,10 +88,22 @@ def _fit(inner, rim, cast, width, offsets, starts, half_axes, shades, grid, plac
         right, down = _sub_pixel(inner, rim, cast, width, offsets, starts[d, k], place, score, weights)
         boxes[found, 0], boxes[found, 1] = place % width + right, place // width + down
         boxes[found, 2], boxes[found, 3], boxes[found, 4] = d, k, score
-        boxes[found, 5] = 1.0 - _share_of(inner, offsets, starts[d, k], place, _HIDDEN)
-        _take(inner, rim, cast, width, place, half_axes[d, k], shades[k])
+        boxes[found, 5] = 1.0 - _share_of(inner, offsets, starts[d, k], place, HIDDEN)
+        _take(inner, rim, cast, width, place + start, half_axes[d, k], shades[k])
         found += 1
     return boxes[:found]
+
+
+@njit(cache=True, nogil=True)
+def _is_open(inner, width, at, core):  # type: ignore[no-untyped-def]
+    """Whether so much evidence is left around the place that it would still be a seed."""
+    if inner[at] == _TAKEN:
+        return False
+    total = np.int64(0)
+    for r in range(-core[0], core[0] + 1):
+        for c in range(-core[1], core[1] + 1):
+            total += max(inner[at + r * width + c], 0)
+    return total >= core[2]
 
 
 @njit(cache=True, nogil=True)
@@ -138,8 +124,14 @@ def _best_box(inner, rim, cast, offsets, starts, place, weights, least, best):  
     """Write the score, direction and size of the best box at *place* to *best*; below *least* none is looked for."""
     directions, sizes = starts.shape[0], starts.shape[1]
     filled = np.empty(directions)
-    for d in range(directions):
+    for d in range(0, directions, 2):
         filled[d] = _inside(inner, offsets, starts[d, 0], place, weights[2])
+    hopeful = filled[::2].max() - _HOPEFUL
+    for d in range(1, directions, 2):
+        # Between two directions that fit badly none fits well.
+        filled[d] = -10.0
+        if filled[d - 1] >= hopeful or filled[(d + 1) % directions] >= hopeful:
+            filled[d] = _inside(inner, offsets, starts[d, 0], place, weights[2])
     best[0] = least - 1e-9
     found = False
     enough = filled.max() - _NEARLY_AS_FULL
@@ -176,40 +168,54 @@ def _score(inner, rim, cast, offsets, starts, place, weights, least):  # type: i
 @njit(cache=True, nogil=True)
 def _inside(inner, offsets, starts, place, visible_share):  # type: ignore[no-untyped-def]
     """Mean evidence inside the box; -9 where too little of it is visible."""
-    total, visible = 0, 0
+    base = np.uint64(place)
     first, last = starts[INSIDE], starts[INSIDE + 1]
+    total, visible = np.int64(0), last - first
     for n in range(first, last):
-        value = inner[place + offsets[n]]
-        if value != _HIDDEN:
-            visible += 1
-            total += value
-    if visible < visible_share * (last - first):
-        return -9.0
+        total += inner[base + offsets[n]]
+    if total < 0:
+        total, visible = np.int64(0), 0
+        for n in range(first, last):
+            value = inner[base + offsets[n]]
+            if value != HIDDEN:
+                visible += 1
+                total += value
+        if visible < visible_share * (last - first):
+            return -9.0
     return total / (FULL * visible)
 
 
 @njit(cache=True, nogil=True)
 def _around(rim, cast, offsets, starts, place, weights, least):  # type: ignore[no-untyped-def]
     """What the rim takes from the score and the cast shadow adds; stops where that cannot exceed *least*."""
-    score = -weights[0] * _rim_share(rim, offsets, starts, place)
-    if starts[CAST + 1] == starts[CAST] or score + weights[1] <= least:
+    shadowed = starts[CAST + 1] > starts[CAST]
+    hope = weights[1] if shadowed else 0.0
+    score = -weights[0] * _strips_share(rim, offsets, starts[LEFT], starts[CAST], place)
+    if score + hope <= least:
         return score
-    shaded = 0
+    score -= weights[0] * _strips_share(rim, offsets, starts[FRONT], starts[LEFT], place)
+    if not shadowed or score + hope <= least:
+        return score
+    base, shaded = np.uint64(place), np.int64(0)
     for n in range(starts[CAST], starts[CAST + 1]):
-        shaded += cast[place + offsets[n]]
+        shaded += cast[base + offsets[n]]
     return score + weights[1] * shaded / (starts[CAST + 1] - starts[CAST])
 
 
 @njit(cache=True, nogil=True)
 def _rim_share(rim, offsets, starts, place):  # type: ignore[no-untyped-def]
     """How much of the rim is occupied, every side counting alike."""
-    share = 0.0
-    for part in range(FRONT, RIGHT + 1):
-        busy = 0
-        for n in range(starts[part], starts[part + 1]):
-            busy += rim[place + offsets[n]]
-        share += busy / (4 * FULL * (starts[part + 1] - starts[part]))
-    return share
+    ends = _strips_share(rim, offsets, starts[FRONT], starts[LEFT], place)
+    return ends + _strips_share(rim, offsets, starts[LEFT], starts[CAST], place)
+
+
+@njit(cache=True, nogil=True)
+def _strips_share(rim, offsets, first, last, place):  # type: ignore[no-untyped-def]
+    """Half of the share that is occupied of two strips of one length, first:last."""
+    base, busy = np.uint64(place), np.int64(0)
+    for n in range(first, last):
+        busy += rim[base + offsets[n]]
+    return busy / (2 * FULL * (last - first))
 
 
 @njit(cache=True, nogil=True)
@@ -248,9 +254,9 @@ def _vertex(before, here, after):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _share_of(inner, offsets, starts, place, what):  # type: ignore[no-untyped-def]
-    count = 0
+    base, count = np.uint64(place), 0
     for n in range(starts[INSIDE], starts[INSIDE + 1]):
-        count += inner[place + offsets[n]] == what
+        count += inner[base + offsets[n]] == what
     return count / (starts[INSIDE + 1] - starts[INSIDE])
 
 
@@ -270,7 +276,7 @@ def _take(inner, rim, cast, width, place, half_axes, shade):  # type: ignore[no-
                 continue
             at = place + y * width + x
             rim[at] = 0
-            if inner[at] != _HIDDEN:
+            if inner[at] != HIDDEN:
                 inner[at] = _TAKEN
             for step in range(1, steps + 1):
                 moved = at + round(shade[1] * step / steps) * width + round(shade[0] * step / steps)

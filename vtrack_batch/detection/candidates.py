@@ -8,19 +8,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vtrack_batch.background.coverage import has_data
+from vtrack_batch.background.coverage import without_data
 from vtrack_batch.background.learn import Background
-from vtrack_batch.background.subtract import FULL, UNSEEN, Difference, subtract
-from vtrack_batch.detection.boxes import Seeds, fit_boxes
+from vtrack_batch.background.subtract import UNSEEN, Difference, subtract
+from vtrack_batch.detection.boxes import fit_boxes
 from vtrack_batch.detection.measure import measure
 from vtrack_batch.detection.params import DetectionParams
 from vtrack_batch.detection.refine import refine
 from vtrack_batch.detection.templates import draw_templates
 from vtrack_batch.model import homography
 from vtrack_batch.model.flags import DetectionFlag
-
-_CORE = 0.4
-"""Least mean evidence around the middle of a box that is tried."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,11 +76,28 @@ def find_candidates(
         shadow_band=background.shadows.band,
         tile_px=params.gain_tile_m * float(np.mean(px_per_m)),
     )
-    difference.classes[_reduced(has_data(pixels), steps) == 0] = UNSEEN
+    missing = without_data(pixels)
+    if missing is not None:
+        difference.classes[_reduced(missing, steps) == 255] = UNSEEN
     shadow = _in_frame(background.shadows.direction, frame_to_reference)
+    return candidates_in(picture, difference, px_per_m=px_per_m, steps=steps, shadow=shadow, params=params)
+
+
+def candidates_in(
+    picture: NDArray[np.uint8],
+    difference: Difference,
+    *,
+    px_per_m: tuple[float, float],
+    steps: tuple[int, int],
+    shadow: tuple[float, float] | None,
+    params: DetectionParams,
+) -> Candidates:
+    """Fit boxes to a *difference*, however it was made, of the *picture* (h, w, 3) uint8 with *px_per_m* (x, y).
+
+    The picture is the frame reduced by whole *steps* (x, y); *shadow* = unit vector (x, y) towards cast shadows.
+    """
     templates = draw_templates(px_per_m, shadow, params)
-    seeds = _seeds(difference, px_per_m, params)
-    boxes = fit_boxes(difference, templates, seeds, params)
+    boxes = fit_boxes(difference, templates, px_per_m, params)
     axes = templates.half_axes[boxes[:, 2].astype(int), boxes[:, 3].astype(int)]
     placed = np.concatenate([boxes[:, :2], axes], axis=1)
     scale = np.array(px_per_m)
@@ -135,16 +149,7 @@ def _in_frame(
     return float(turned[0]), float(turned[1])
 
 
-# seeds and results ----------------------------------------------------------------------------------------------------
-
-
-def _seeds(difference: Difference, px_per_m: tuple[float, float], params: DetectionParams) -> Seeds:
-    """Return places on a coarse grid around which most pixels differ."""
-    step_r, step_c = (max(1, round(params.seed_step_m * scale)) for scale in (px_per_m[1], px_per_m[0]))
-    window = (2 * round(0.6 * px_per_m[0]) + 1, 2 * round(0.6 * px_per_m[1]) + 1)
-    around = cv2.blur(difference.evidence, window)[::step_r, ::step_c]
-    seen = difference.classes[::step_r, ::step_c] != UNSEEN
-    return Seeds(np.argwhere((around >= _CORE * FULL) & seen), (step_r, step_c))
+# results --------------------------------------------------------------------------------------------------------------
 
 
 def _candidates(

@@ -94,6 +94,9 @@ def _chains(xy, axis, colour, starts, times, limits):  # type: ignore[no-untyped
                 vx = (xy[last, 0] - xy[before, 0]) / elapsed
                 vy = (xy[last, 1] - xy[before, 1]) / elapsed
                 speed = np.hypot(vx, vy)
+                if speed == 0.0:
+                    complete = False
+                    break
                 reach = miss + accel * ahead * (elapsed + ahead) / 2
                 best, nearest = -1, reach
                 for n in range(starts[k], starts[k + 1]):

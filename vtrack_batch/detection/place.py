@@ -135,6 +135,7 @@ def _draw(kinds: Sequence[Chains], frames: int, params: DetectionParams) -> tupl
 def _extended(lines: Array, by_m: float) -> Array:
     """Return *lines* (m, n, 2) with a straight piece of *by_m* before and after each."""
     first, last = lines[:, 0] - lines[:, 1], lines[:, -1] - lines[:, -2]
-    before = lines[:, 0] + first * by_m / np.linalg.norm(first, axis=1)[:, None]
-    after = lines[:, -1] + last * by_m / np.linalg.norm(last, axis=1)[:, None]
+    # A chain may end with a stop: there is no way to go on.
+    before = lines[:, 0] + first * by_m / np.maximum(np.linalg.norm(first, axis=1), 1e-9)[:, None]
+    after = lines[:, -1] + last * by_m / np.maximum(np.linalg.norm(last, axis=1), 1e-9)[:, None]
     return np.concatenate([before[:, None], lines, after[:, None]], axis=1)

@@ -1,8 +1,9 @@
-"""Sample points of oriented boxes, as pixel offsets in tables: every size in every direction, drawn up once a frame."""
+"""Sample points of oriented boxes, as pixel offsets in tables: every size in every direction, drawn up once a block."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ INSIDE, FRONT, BACK, LEFT, RIGHT, CAST = range(6)
 PARTS = 6
 _CAR_REACH, _LORRY_REACH, _LORRY_WIDTH_M = 1.5, 3.5, 2.3
 _MOST_ALONG, _MOST_ACROSS = 16, 8
+_SCALE_STEP, _ANGLE_STEP = 0.005, float(np.radians(2.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,11 +33,29 @@ class Templates:
     half_axes: NDArray[np.float64]
     shades: NDArray[np.float64]
 
+    @property
+    def margin(self) -> int:
+        """How far in px a box, its rim and its shadow may reach from its centre, and some more."""
+        shadowed = np.abs(self.half_axes).max() + np.abs(self.shades).max()
+        return int(max(np.abs(self.offsets).max(), shadowed)) + 6
+
 
 def draw_templates(
     px_per_m: tuple[float, float], shadow: tuple[float, float] | None, params: DetectionParams
 ) -> Templates:
-    """Return the templates for a grid with *px_per_m* (x, y); *shadow* = unit vector in px towards cast shadows."""
+    """Return the templates for a grid with *px_per_m* (x, y); *shadow* = unit vector in px towards cast shadows.
+
+    Scale and shadow are rounded to half a percent and two degrees, so that the frames of a block share one drawing.
+    """
+    scale_x, scale_y = (float(np.exp(_SCALE_STEP * round(np.log(scale) / _SCALE_STEP))) for scale in px_per_m)
+    if shadow is not None:
+        angle = _ANGLE_STEP * round(np.arctan2(shadow[1], shadow[0]) / _ANGLE_STEP)
+        shadow = (float(np.cos(angle)), float(np.sin(angle)))
+    return _drawn((scale_x, scale_y), shadow, params)
+
+
+@lru_cache(maxsize=8)
+def _drawn(px_per_m: tuple[float, float], shadow: tuple[float, float] | None, params: DetectionParams) -> Templates:
     angles = np.pi * np.arange(params.directions) / params.directions
     axes = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     offsets: list[NDArray[np.int32]] = []

@@ -54,15 +54,27 @@ class Blocks:
         order = np.argsort(values, kind="stable")
         block = self.of_frame[np.asarray(frame, np.int64)[order]]
         ordered = np.asarray(values, float)[order]
-        found = np.empty(len(self.draws))
-        for i, draw in enumerate(self.draws):
-            reach = np.cumsum(draw[block])
-            at = reach[-1] * share
-            low = np.searchsorted(reach, at, "left")
-            high = np.searchsorted(reach, at, "right")
-            # the mean of both middle values, as every median has it
-            found[i] = (ordered[low] + ordered[min(high, len(ordered) - 1)]) / 2 if reach[-1] else np.nan
-        return self.score(found)
+        places = [np.flatnonzero(block == k) for k in range(self.draws.shape[1])]
+        whole = self.draws @ np.array([len(place) for place in places], float)
+        # the mean of both middle values, as every median has it
+        low, high = (self._first(places, whole * share, beyond, len(values)) for beyond in (False, True))
+        found = (ordered[low] + ordered[high]) / 2
+        return self.score(np.where(whole > 0, found, np.nan))
+
+    def _first(self, places: list[NDArray[np.int64]], aim: Array, beyond: bool, count: int) -> NDArray[np.int64]:
+        """Return, per draw, the first place at which the weights up to it reach *aim* (or are *beyond* it), by halving.
+
+        ``places``: of each block, the places of its values in the order of all.
+        """
+        low, high = np.zeros(len(aim), np.int64), np.full(len(aim), count - 1)
+        while (low < high).any():
+            middle = (low + high) // 2
+            reach = np.zeros(len(aim))
+            for draw, place in zip(self.draws.T, places, strict=True):
+                reach += draw * np.searchsorted(place, middle, "right")
+            there = reach > aim if beyond else reach >= aim
+            low, high = np.where(there, low, middle + 1), np.where(there, middle, high)
+        return np.minimum(low, count - 1)
 
 
 def divide(part: Array, whole: Array) -> Array:

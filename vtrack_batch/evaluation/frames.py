@@ -14,18 +14,19 @@ def joined_frames(result: Result, truth: Truth) -> tuple[pd.DataFrame, list[str]
 
     Columns: ``true_frame`` (the truth's number), ``frame_id`` (null where the result knows the frame only from its
     quarantine), ``t_s`` (seconds since the first), ``sequence`` (code), ``width_px``, ``height_px`` (NaN = not known).
-    Row number = the frame's index in all that follows. Truth in the contract's tables is joined by exact time, else by
-    the number in the file's name. Frames that the result quarantined stay in, and all their vehicles count as missed;
-    frames that are not in its archive at all are left out. Raises ``UnusableData`` when no frame is common.
+    Row number = the frame's index in all that follows. Frames are joined by exact time, or by the number in the file's
+    name (see ``_by_time``). Frames that the result quarantined stay in, and all their vehicles count as missed; frames
+    that are not in its archive at all are left out. Raises ``UnusableData`` when no frame is common.
     """
+    if result.borrowed:
+        return _frames_of_truth(truth), []
     found = _result_frames(result)
-    if truth.layout == "tables":
-        key = truth.frames["t_utc"]
+    found["number"] = file_number(found["path"])
+    by_time = _by_time(found, truth)
+    found["key"] = found["t_utc" if by_time else "number"]
+    key = truth.frames["t_utc" if by_time else "frame"]
+    if by_time:
         _refuse_doubles(key, "time stamp")
-        found["key"] = found["t_utc"]
-    else:
-        key = truth.frames["frame"]
-        found["key"] = file_number(found["path"])
     found = found.dropna(subset=["key"])
     remarks = []
     if doubles := int(found["key"].duplicated().sum()):
@@ -34,7 +35,7 @@ def joined_frames(result: Result, truth: Truth) -> tuple[pd.DataFrame, list[str]
     wanted = truth.frames.assign(key=key.astype(found["key"].dtype)).rename(columns={"frame": "true_frame"})
     both = wanted.merge(found, on="key", how="inner", suffixes=("_true", ""))
     if both.empty:
-        how = "time stamp" if truth.layout == "tables" else "number in the file name"
+        how = "time stamp" if by_time else "number in the file name"
         raise UnusableData(f"result and truth have no frame in common (by {how}); are they of the same archive?")
     both["t_utc"] = both["t_utc"].fillna(both["t_utc_true"])
     both["t_s"] = _seconds(both["t_utc"], both["true_frame"])
@@ -43,6 +44,30 @@ def joined_frames(result: Result, truth: Truth) -> tuple[pd.DataFrame, list[str]
     if len(both) < len(wanted):
         remarks.append(f"{len(wanted) - len(both)} frames of the truth are not in the result's archive: left out")
     return both[["true_frame", "frame_id", "t_s", "sequence", "width_px", "height_px"]], remarks
+
+
+def _by_time(found: pd.DataFrame, truth: Truth) -> bool:
+    """Tell whether frames are joined by time: truths in tables always; others where the result has no numbered files.
+
+    CSV truths are numbered as their frames are; their times, if any, may be nominal.
+    """
+    if truth.layout == "tables":
+        return True
+    if found["number"].notna().any() and not (truth.layout == "geotrax" and truth.frames["t_utc"].notna().all()):
+        return False
+    if truth.frames["t_utc"].isna().any():
+        raise UnusableData(
+            "the truth gives no times with a zone and the result no file numbers, so that their frames cannot be "
+            "joined; give --time-zone if the truth holds local times"
+        )
+    return True
+
+
+def _frames_of_truth(truth: Truth) -> pd.DataFrame:
+    """Return the truth's own frames, for a result that was made from its detections."""
+    frames = truth.frames.rename(columns={"frame": "true_frame"}).sort_values("true_frame", ignore_index=True)
+    t_s = _seconds(frames["t_utc"], frames["true_frame"])
+    return frames.assign(frame_id=None, t_s=t_s, sequence=0, width_px=np.nan, height_px=np.nan).drop(columns="t_utc")
 
 
 def file_number(path: pd.Series) -> pd.Series:

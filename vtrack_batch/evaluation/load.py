@@ -1,8 +1,9 @@
-"""The rim: read a result folder and a truth folder into the two sides of an evaluation."""
+"""The rim: read a result and a truth into the two sides of an evaluation."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,199 +12,251 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from vtrack_batch.errors import ConfigError, UnusableData
-from vtrack_batch.evaluation.frames import file_number
+from vtrack_batch.evaluation.layouts import BOX, POSE, READERS, as_text, geotrax_truth
 from vtrack_batch.evaluation.sides import Layout, Result, Truth
-from vtrack_batch.model import homography
-from vtrack_batch.model.flags import DetectionFlag
 from vtrack_batch.model.tables import TABLES
 
 _PANDAS = {"text": "object", "category": "object", "time": "datetime64[us, UTC]", "bool": "bool"}
-_RESULT_TABLES = ("frames", "detections", "track_points", "trajectories", "od_pairs", "turns", "quarantine")
-_LAYOUTS: dict[Layout, tuple[str, ...]] = {
-    "tables": ("detections.parquet", "trajectories.parquet", "track_points.parquet"),
+_RESULT_TABLES = (
+    "frames", "detections", "track_points", "trajectories", "od_pairs", "turns", "quarantine", "matches", "flows",
+)  # fmt: skip
+_TRUTH_TABLES = (
+    "detections", "track_points", "frames", "trajectories", "od_pairs", "turns", "flows", "crossings",
+)  # fmt: skip
+_TRACKED = ("track_points", "matches")
+_NEEDED = {"detections": {"detection_id", "t_utc", "x_m", "y_m"}, "matches": {"detection_id_from", "detection_id_to"}}
+"""Columns that tables must have when they are anybody's: of a run, all that are declared."""
+_FILES: dict[Layout, tuple[str, ...]] = {
+    "tables": ("detections.parquet", "track_points.parquet"),
     "rendered": ("truth.csv", "parked.csv", "poses.csv"),
     "kit": ("tracks.csv", "vehicles.csv"),
 }
-_SIGHTING = [
-    "frame",
-    "vehicle",
-    "col_px",
-    "row_px",
-    "length_px",
-    "motion",
-    "speed_mps",
-    "standing_s",
-    "luminance",
-    "whole",
-]
-_BOX = ["left", "top", "width", "height"]
+_CSV = {
+    "truth": ["frame", "vehicle", "col_px", "row_px", "speed_mps", "standing_s", "luminance"],
+    "poses": ["frame", *POSE],
+    "parked": ["ref_col_px", "ref_row_px"],
+    "ignore": ["frame_from", "frame_to", *BOX],
+    "times": ["file", "time"],
+    "tracks": ["frame", "id", *BOX],
+    "vehicles": ["id", "motion"],
+}
+_GEOTRAX = ["Vehicle_ID", "Frame_Number", "Local_X", "Local_Y", "Vehicle_Length", "Vehicle_Speed"]
 
 
 def load_result(out: str | Path) -> Result:
-    """Read the newest snapshot of the result folder *out*, or a snapshot's own folder; the pointer is followed once.
+    """Read a result: the newest snapshot of a result folder, a snapshot's own folder, or tables of others.
 
-    Raises ``ConfigError`` where there is no snapshot.
+    Tables of others: a folder with what ``track`` or ``match`` writes (or one of its files), ``detections.parquet``
+    beside unless the ids are those of the truth's detections; or a tracker's boxes as of MOTChallenge (.txt, .csv).
+    Raises ``ConfigError`` where there is nothing of the kind.
     """
     out = Path(out)
-    snapshot = (out / "current").resolve()
-    if not snapshot.is_dir():
-        snapshot = out.resolve()
-    if not (snapshot / "frames").is_dir():
-        raise ConfigError(f"{out}: not a result folder; looked for {out / 'current'} and for {out / 'frames'}")
-    return Result(**{name: _read(name, sorted((snapshot / name).rglob("*.parquet"))) for name in _RESULT_TABLES})
-
-
-def load_truth(folder: str | Path) -> Truth:
-    """Read a truth: the tables of ``simulate`` (in *folder* or its ``truth``), a rendered archive's or KIT's CSV files.
-
-    One of the files may be named in place of its folder. Raises ``ConfigError`` where no such files are found.
-    """
-    folder = Path(folder)
-    folder = folder.parent if folder.is_file() else folder
-    for place in (folder, folder / "truth"):
-        for layout, names in _LAYOUTS.items():
-            if all((place / name).is_file() for name in names):
-                return _READERS[layout](place)
-    looked = "; ".join(f"{layout}: {', '.join(names)}" for layout, names in _LAYOUTS.items())
-    raise ConfigError(f"{folder}: no truth found here nor in {folder / 'truth'}; looked for {looked}")
-
-
-def _tables_truth(folder: Path) -> Truth:
-    """The contract's tables with ``vehicle_id`` in detections; frames are numbered in order of time.
-
-    Where ``frames.parquet`` is there, it says which frames there are; else those in which a vehicle is.
-    """
-    own = ("vehicle_id", "standing_s", "luminance")
-    detections = _read("detections", [folder / "detections.parquet"], own)
-    points = _read("track_points", [folder / "track_points.parquet"])
-    frames = _numbered(folder, detections["t_utc"], points["t_utc"])
-    speeds = points[["vehicle_id", "t_utc", "speed_mps"]]
-    seen = detections.merge(speeds, on=["vehicle_id", "t_utc"], how="left").merge(frames, on="t_utc")
-    seen["whole"] = (seen["flags"].astype(int) & int(DetectionFlag.TOUCHES_BORDER)) == 0
-    seen = seen.rename(columns={"vehicle_id": "vehicle"}).assign(motion="mover", length_px=np.nan)
-    trips = (_read(name, [folder / f"{name}.parquet"]) for name in ("trajectories", "od_pairs", "turns"))
-    return Truth("tables", frames, _sightings(seen), _parked(folder), _ignored(folder / "ignore.csv"), *trips)
-
-
-def _numbered(folder: Path, *times: pd.Series) -> pd.DataFrame:
-    """Return the frames by time, numbered as in ``poses.csv``; raises ``UnusableData`` where the two do not agree."""
-    if (folder / "frames.parquet").is_file():
-        times = (_read("frames", [folder / "frames.parquet"])["t_utc"],)
-    t_utc = pd.concat(times).drop_duplicates().sort_values(ignore_index=True)
-    if (folder / "poses.csv").is_file():
-        poses = len(_csv(folder / "poses.csv", ["frame"]))
-        if poses != len(t_utc):
-            raise UnusableData(
-                f"{folder}: {poses} poses but {len(t_utc)} frames with vehicles; frames.parquet is missing"
-            )
-    return pd.DataFrame({"frame": np.arange(len(t_utc)), "t_utc": t_utc})
-
-
-def _rendered_truth(folder: Path) -> Truth:
-    """``truth.csv`` with centres in the frame, ``parked.csv`` in the reference frame, ``poses.csv`` between them."""
-    rows = _csv(folder / "truth.csv", ["frame", "vehicle", "col_px", "row_px", "speed_mps", "standing_s", "luminance"])
-    seen = rows.assign(vehicle=rows["vehicle"].astype(str), motion="mover", length_px=np.nan)
-    frames = _csv(folder / "poses.csv", ["frame"])["frame"]
-    return _csv_truth(folder, "rendered", frames, (_sightings(seen), _parked(folder), _ignored(folder / "ignore.csv")))
-
-
-def _kit_truth(folder: Path) -> Truth:
-    """``tracks.csv``: boxes whose ``left``, ``top`` are outer edges; ``vehicles.csv``: who moves; ``ignore.csv``."""
-    rows = _csv(folder / "tracks.csv", ["frame", "id", *_BOX])
-    motion = _csv(folder / "vehicles.csv", ["id", "motion"]).set_index("id")["motion"]
-    if strangers := sorted(set(rows["id"]) - set(motion.index)):
-        raise UnusableData(f"{folder / 'vehicles.csv'}: no motion is given for id {strangers[0]}")
-    seen = rows.assign(
-        vehicle=rows["id"].astype(str),
-        col_px=rows["left"] + rows["width"] / 2 - 0.5,
-        row_px=rows["top"] + rows["height"] / 2 - 0.5,
-        length_px=rows[["width", "height"]].max(axis=1),
-        motion=rows["id"].map(motion),
+    if out.is_file() and out.suffix in (".txt", ".csv"):
+        return _boxes_result(_boxes(out))
+    folder = _snapshot(out)
+    if folder is not None:
+        return _result({name: _read(name, sorted((folder / name).rglob("*.parquet"))) for name in _RESULT_TABLES})
+    folder = out.parent if out.is_file() else out
+    if any((folder / f"{name}.parquet").is_file() for name in _TRACKED):
+        return _tables_result(folder)
+    raise ConfigError(
+        f"{out}: not a result folder; looked for {out / 'current'}, for {out / 'frames'}, "
+        f"and for {' or '.join(f'{name}.parquet' for name in _TRACKED)}"
     )
-    sides = _sightings(seen), _parked(folder), _ignored(folder / "ignore.csv")
-    return _csv_truth(folder, "kit", rows["frame"], sides)
 
 
-def _csv_truth(folder: Path, layout: Layout, frames: pd.Series, sides: tuple[pd.DataFrame, ...]) -> Truth:
-    """Return the truth of a CSV layout, which knows no trips; times are those of ``times.csv``, where it is there."""
-    number = np.unique(frames.to_numpy(np.int64))
-    times = pd.DataFrame({"frame": number, "t_utc": pd.Series(pd.NaT, range(len(number)), _PANDAS["time"])})
-    if (folder / "times.csv").is_file():
-        rows = _csv(folder / "times.csv", ["file", "time"])
-        at = pd.Series(pd.to_datetime(rows["time"], utc=True).to_numpy(), file_number(rows["file"]).to_numpy())
-        times["t_utc"] = pd.to_datetime(times["frame"].map(at), utc=True).dt.as_unit("us")
-    seen, parked, ignore = sides
-    nothing = (_read(name, []) for name in ("trajectories", "od_pairs", "turns"))
-    return Truth(layout, times, seen, parked, ignore, *nothing)
+def load_truth(place: str | Path, *, time_zone: str | None = None) -> Truth:
+    """Read a truth, known by its files (in *place* or its ``truth``), or by the head line of the file *place*.
+
+    The contract's tables as ``simulate`` writes them, or a published result; a rendered archive's or KIT's CSV files;
+    MOTChallenge's gt.txt, boxes without a head line (SkySat), geo-trax's CSV; a Parquet table of detections with
+    ``truth_vehicle``. *time_zone* is that of local times (geo-trax). Raises ``ConfigError`` where nothing is found.
+    """
+    place = Path(place)
+    if place.is_file() and (truth := _file_truth(place, time_zone)) is not None:
+        return truth
+    folder = place.parent if place.is_file() else place
+    for at in (folder, folder / "truth"):
+        for layout, names in _FILES.items():
+            if all((at / name).is_file() for name in names):
+                tables = _contract_tables(at) if layout == "tables" else {}
+                return READERS[layout](tables | _csv_tables(at))
+        for name in ("gt.txt", "gt/gt.txt", "tracks.csv", "geotrax.csv"):
+            if (at / name).is_file() and (truth := _file_truth(at / name, time_zone)) is not None:
+                return truth
+    if (snapshot := _snapshot(folder)) is not None:
+        return READERS["tables"](_contract_tables(snapshot) | _csv_tables(snapshot))
+    looked = "; ".join(f"{layout}: {', '.join(names)}" for layout, names in _FILES.items())
+    raise ConfigError(
+        f"{place}: no truth found here nor in {folder / 'truth'}; looked for {looked}; mot: gt.txt; "
+        "a CSV of geo-trax, or of boxes without a head line; a result folder; a Parquet table with truth_vehicle"
+    )
 
 
-def _sightings(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return the columns of ``Truth.sightings``; numbers that the layout does not give are NaN."""
-    numbers = {"frame": np.int64} | dict.fromkeys(("speed_mps", "standing_s", "luminance"), float)
-    return rows.assign(whole=rows.get("whole", True)).reindex(columns=_SIGHTING).astype(numbers)
+def _snapshot(out: Path) -> Path | None:
+    """Return the folder of the snapshot in *out*, or None; the pointer is followed once."""
+    current = (out / "current").resolve()
+    folder = current if current.is_dir() else out.resolve()
+    return folder if (folder / "frames").is_dir() else None
 
 
-def _parked(folder: Path) -> pd.DataFrame:
-    """Return where each parked car lies in each frame: ``parked.csv`` through the homographies of ``poses.csv``."""
-    if not ((folder / "parked.csv").is_file() and (folder / "poses.csv").is_file()):
-        return pd.DataFrame({"frame": np.empty(0, np.int64), "col_px": np.empty(0), "row_px": np.empty(0)})
-    at = _csv(folder / "parked.csv", ["ref_col_px", "ref_row_px"]).to_numpy(float)
-    poses = _csv(folder / "poses.csv", ["frame", *(f"h{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))])
-    places = [homography.apply(pose.reshape(3, 3), at) for pose in poses.drop(columns="frame").to_numpy(float)]
-    col, row = np.concatenate([*places, np.empty((0, 2))]).T
-    return pd.DataFrame({"frame": np.repeat(poses["frame"].to_numpy(np.int64), len(at)), "col_px": col, "row_px": row})
+def _tables_result(folder: Path) -> Result:
+    """Read tables of ``track`` or ``match``; frames are the times of the detections beside them, if any."""
+    tables = {name: _read(name, [folder / f"{name}.parquet"], strict=False) for name in _RESULT_TABLES}
+    detections = tables["detections"]
+    borrowed = not (folder / "detections.parquet").is_file()
+    if not borrowed and not len(tables["frames"]):
+        frame_id = detections["t_utc"].astype(str)
+        tables["detections"] = detections.assign(frame_id=frame_id)
+        times = detections.assign(frame_id=frame_id).drop_duplicates("frame_id").sort_values("t_utc")
+        sequence = times["sequence"].where(times["sequence"].notna(), "all")
+        tables["frames"] = tables["frames"].reindex(range(len(times)))
+        tables["frames"] = tables["frames"].assign(
+            frame_id=times["frame_id"].to_numpy(), t_utc=times["t_utc"].array, path="", status="used"
+        )
+        tables["frames"]["sequence"] = sequence.to_numpy()
+    found = _result(tables)
+    tracked, counted = ((folder / f"{name}.parquet").is_file() for name in ("track_points", "od_pairs"))
+    return replace(found, borrowed=borrowed, tracked=tracked, counted=counted)
 
 
-def _ignored(path: Path) -> pd.DataFrame:
-    """Return the boxes to be ignored, one row a frame."""
-    if not path.is_file():
-        return pd.DataFrame({"frame": np.empty(0, np.int64), **dict.fromkeys(_BOX, np.empty(0))})
-    boxes = _csv(path, ["frame_from", "frame_to", *_BOX])
-    spans = [range(int(a), int(b) + 1) for a, b in zip(boxes["frame_from"], boxes["frame_to"], strict=True)]
-    each = boxes.assign(frame=pd.Series(spans, boxes.index, dtype=object)).explode("frame", ignore_index=True)
-    return each.dropna(subset=["frame"]).astype({"frame": np.int64})[["frame", *_BOX]]
+def _boxes_result(boxes: pd.DataFrame) -> Result:
+    """Return a tracker's boxes as a result: centres in pixels, frames by number; nothing is known in metres."""
+    tables = {name: _read(name, []) for name in _RESULT_TABLES}
+    ids = [f"{n}" for n in range(len(boxes))]
+    centre = {
+        "col_px": boxes["left"] + boxes["width"] / 2 - 0.5,
+        "row_px": boxes["top"] + boxes["height"] / 2 - 0.5,
+    }
+    frame = boxes["frame"].map(as_text)
+    number = np.sort(boxes["frame"].unique())
+    detections = pd.DataFrame({"detection_id": ids, "frame_id": frame, **centre})
+    points = pd.DataFrame({"vehicle_id": boxes["id"].map(as_text), "detection_id": ids})
+    frames = pd.DataFrame({"frame_id": pd.Series(number).map(as_text), "path": pd.Series(number).map(as_text)})
+    made = {"detections": detections, "track_points": points, "frames": frames.assign(status="used", sequence="all")}
+    for name, rows in made.items():
+        kinds = tables[name].dtypes.to_dict()
+        tables[name] = rows.reindex(columns=list(kinds)).astype({k: v for k, v in kinds.items() if v != "bool"})
+    return replace(_result(tables), counted=False)
 
 
-def _csv(path: Path, columns: Sequence[str]) -> pd.DataFrame:
-    """Read *columns* of a CSV file; raises ``UnusableData`` naming the file and what it lacks."""
+def _result(tables: Mapping[str, pd.DataFrame]) -> Result:
+    frames, detections, points, trajectories, od_pairs, turns, quarantine, matches, flows = (
+        tables[name] for name in _RESULT_TABLES
+    )
+    return Result(frames, detections, points, trajectories, od_pairs, turns, quarantine, matches, flows)
+
+
+def _contract_tables(folder: Path) -> dict[str, pd.DataFrame]:
+    """Read the contract's tables: one file each as ``simulate`` writes them, or a snapshot's folders."""
+    more = {"detections": ("vehicle_id", "standing_s", "luminance", "visible_share")}
+    tables = {
+        name: _read(name, [folder / f"{name}.parquet", *sorted((folder / name).rglob("*.parquet"))], more.get(name, ()))
+        for name in _TRUTH_TABLES
+    }
+    keys, made = folder / "detection_keys.parquet", folder.parent / "detections.parquet"
+    if keys.is_file() and made.is_file():  # what a simulated detector saw, and which vehicles are in it
+        tables["keys"], tables["detected"] = _parquet(keys, None), _read("detections", [made])
+    if (folder / "others.parquet").is_file():
+        tables["others"] = _parquet(folder / "others.parquet", None)
+    return tables
+
+
+def _csv_tables(folder: Path) -> dict[str, pd.DataFrame]:
+    """Read those CSV files of a truth that are there."""
+    return {
+        name: _csv(path, columns) if (path := folder / f"{name}.csv").is_file() else pd.DataFrame(columns=columns)
+        for name, columns in _CSV.items()
+    }
+
+
+def _file_truth(path: Path, time_zone: str | None) -> Truth | None:
+    """Read a truth that is a single file, known by its head; None where it is none."""
+    if path.suffix == ".parquet":
+        rows = _parquet(path, None)
+        named = {"truth_vehicle", "vehicle_id"} & set(rows.columns)
+        timed = {"t_utc", "t_s", "image"} & set(rows.columns)
+        single = path.stem not in TABLES  # detections.parquet of `simulate` is one of several
+        return READERS["labelled"]({"labelled": rows}) if named and timed and single else None
+    head = _head(path)
+    if set(_GEOTRAX) <= set(head):
+        return geotrax_truth({"geotrax": _csv(path, None)}, time_zone=time_zone)
+    if head and _is_number(head[0]):
+        rows = _boxes(path)
+        return READERS["mot" if path.name == "gt.txt" else "boxes"]({"boxes": rows})
+    return None
+
+
+def _boxes(path: Path) -> pd.DataFrame:
+    """Read boxes without a head line: frame, id, left, top, width, height, and perhaps a flag."""
+    try:
+        rows = pd.read_csv(path, header=None)
+    except (OSError, ValueError) as problem:
+        raise UnusableData(f"{path}: cannot be read ({problem})") from None
+    if rows.shape[1] < 6 or not all(pd.api.types.is_numeric_dtype(rows[c]) for c in range(6)):
+        raise UnusableData(f"{path}: not boxes; expected numbers: frame, id, left, top, width, height")
+    rows = rows.reindex(columns=range(7)).set_axis(["frame", "id", *BOX, "flag"], axis=1)
+    return rows.astype({"frame": np.int64} | dict.fromkeys(BOX, float))
+
+
+def _head(path: Path) -> list[str]:
+    try:
+        with path.open(encoding="utf-8") as file:
+            return [name.strip() for name in file.readline().split(",")]
+    except (OSError, UnicodeDecodeError) as problem:
+        raise UnusableData(f"{path}: cannot be read ({problem})") from None
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _csv(path: Path, columns: Sequence[str] | None) -> pd.DataFrame:
+    """Read a CSV file; raises ``UnusableData`` naming the file and which of *columns* it lacks."""
     try:
         rows = pd.read_csv(path)
     except (OSError, ValueError) as problem:
         raise UnusableData(f"{path}: cannot be read ({problem})") from None
-    if lacking := [name for name in columns if name not in rows.columns]:
+    if lacking := [name for name in columns or () if name not in rows.columns]:
         raise UnusableData(f"{path}: columns missing: {', '.join(lacking)}")
-    return rows[list(columns)]
+    return rows
 
 
-def _read(name: str, paths: Sequence[Path], more: Sequence[str] = ()) -> pd.DataFrame:
+def _read(name: str, paths: Sequence[Path], more: Sequence[str] = (), *, strict: bool = True) -> pd.DataFrame:
     """Read the files of the declared table *name*, without its geometry, and columns *more* where they are there.
 
-    No file gives an empty table; nullable columns that a file lacks are null.
+    No file gives an empty table; nullable columns that a file lacks are null. Unless *strict*, so are all others that
+    are not needed to compare anything.
     """
     columns = [column for column in TABLES[name].columns if column.type != "geometry"]
     kinds = {column.name: _PANDAS.get(column.type, "float64") for column in columns} | dict.fromkeys(more, "object")
-    parts = [_read_file(path, kinds) for path in paths if path.is_file()]
+    parts = [(path, _parquet(path, kinds)) for path in paths if path.is_file()]
     needed = {column.name for column in columns if not column.nullable}
-    for path, part in zip(paths, parts, strict=False):
+    needed = needed if strict else _NEEDED.get(name, needed & {"vehicle_id", "t_utc", "x_m", "y_m"})
+    for path, part in parts:
         if lacking := sorted(needed - set(part.columns)):
             raise UnusableData(f"{path}: columns missing: {', '.join(lacking)}")
-    whole = [part.reindex(columns=list(kinds)).astype(kinds) for part in parts if len(part)]
+    if not strict:
+        kinds = {name: "float64" if kind == "bool" else kind for name, kind in kinds.items()}
+    whole = [part.reindex(columns=list(kinds)).astype(kinds) for _, part in parts if len(part)]
     return pd.concat(whole, ignore_index=True) if whole else pd.DataFrame(columns=list(kinds)).astype(kinds)
 
 
-def _read_file(path: Path, kinds: Mapping[str, str]) -> pd.DataFrame:
+def _parquet(path: Path, kinds: Mapping[str, str] | None) -> pd.DataFrame:
+    """Read the columns of *kinds*, or all of them; texts (and ids given as numbers) as text, missing ones as None."""
     try:
         with pq.ParquetFile(path) as file:
-            held = [name for name in kinds if name in file.schema_arrow.names]
-            rows = file.read(columns=held).to_pandas()
+            held = [name for name in kinds or () if name in file.schema_arrow.names]
+            rows = file.read(columns=held if kinds is not None else None).to_pandas()
     except (OSError, pa.ArrowException) as problem:
         raise UnusableData(f"{path}: cannot be read ({problem})") from None
+    if kinds is None:
+        return rows
     texts = [name for name in held if kinds[name] == "object"]
+    ids = [name for name in texts if "_id" in name and pd.api.types.is_numeric_dtype(rows[name])]
+    rows = rows.assign(**{name: rows[name].map(as_text) for name in ids})
     return rows.assign(**{name: rows[name].astype(object).where(rows[name].notna(), None) for name in texts})
-
-
-_READERS: dict[Layout, Callable[[Path], Truth]] = {
-    "tables": _tables_truth,
-    "rendered": _rendered_truth,
-    "kit": _kit_truth,
-}

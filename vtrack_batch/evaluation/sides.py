@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import pandas as pd
 
-Layout = Literal["tables", "rendered", "kit"]
+Layout = Literal["tables", "labelled", "pair", "rendered", "kit", "mot", "boxes", "geotrax"]
+Plane = Literal["frame", "ground"]
+"""Where sightings and vehicles are compared: in pixels of the frame, or in metres on the ground."""
 
 ENDS_NOT_PLACES = ("unknown", "parked")
 """Origins and destinations that say that the place is not known."""
@@ -15,7 +17,11 @@ ENDS_NOT_PLACES = ("unknown", "parked")
 
 @dataclass(frozen=True)
 class Result:
-    """The tables of one published snapshot that an evaluation reads; columns as in ``model/tables.py``."""
+    """The tables of one published snapshot, or of ``track`` and ``match``; columns as in ``model/tables.py``.
+
+    ``borrowed``: it holds no detections, because its ids are those of the truth's detections. ``tracked``: it tells
+    tracks (``match`` does not). ``counted``: it tells OD pairs, turns and flows.
+    """
 
     frames: pd.DataFrame
     detections: pd.DataFrame
@@ -24,6 +30,11 @@ class Result:
     od_pairs: pd.DataFrame
     turns: pd.DataFrame
     quarantine: pd.DataFrame
+    matches: pd.DataFrame = field(default_factory=pd.DataFrame)
+    flows: pd.DataFrame = field(default_factory=pd.DataFrame)
+    borrowed: bool = False
+    tracked: bool = True
+    counted: bool = True
 
 
 @dataclass(frozen=True)
@@ -31,11 +42,13 @@ class Truth:
     """What is true, in one form for all layouts.
 
     ``frames``: ``frame`` (int64, the truth's own number), ``t_utc`` (may be NaT). ``sightings``, one row per vehicle
-    and frame: ``frame``, ``vehicle`` (text), ``col_px``, ``row_px``, ``length_px`` (longer side of the true box; NaN =
-    use the common gate), ``motion`` (mover, creeper, parked), ``speed_mps``, ``standing_s``, ``luminance`` (NaN = not
-    known), ``whole`` (whether the body lies inside the frame). ``parked``: ``frame``, ``col_px``, ``row_px`` of parked
-    cars. ``ignore``: ``frame``, ``left``, ``top``, ``width``, ``height`` in pixels. The last three tables are the
-    contract's own, empty where the layout has none.
+    and frame: ``frame``, ``vehicle`` (text), and as far as the layout tells (else NaN): ``col_px``, ``row_px``,
+    ``x_m``, ``y_m``; ``length_px``, ``length_m`` (the gate is half of it; NaN = the common gate); ``motion`` (mover,
+    creeper, parked), ``speed_mps``, ``standing_s``, ``luminance``, ``shadowed``, ``gap_m`` or ``gap_px`` (to the next
+    vehicle's body), ``whole`` (whether the body lies inside the frame), ``detection_id``. ``parked``: ``frame``,
+    ``col_px``, ``row_px`` and, if known, ``x_m``, ``y_m`` of parked cars. ``ignore``: ``frame``, ``left``, ``top``,
+    ``width``, ``height`` in pixels. ``alarms``: ``frame``, ``detection_id``, ``x_m``, ``y_m`` of detections that are no
+    vehicle. The other tables are the contract's own, empty where the layout has none.
     """
 
     layout: Layout
@@ -46,6 +59,9 @@ class Truth:
     trajectories: pd.DataFrame
     od_pairs: pd.DataFrame
     turns: pd.DataFrame
+    flows: pd.DataFrame = field(default_factory=pd.DataFrame)
+    crossings: pd.DataFrame = field(default_factory=pd.DataFrame)
+    alarms: pd.DataFrame = field(default_factory=pd.DataFrame)
 
     @property
     def scores_movers(self) -> bool:

@@ -5,19 +5,22 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from scipy.stats import norm
 
 from vtrack_batch.evaluation.blocks import Blocks, divide
 from vtrack_batch.evaluation.pairing import Paired
 from vtrack_batch.evaluation.params import EvaluationParams
 
 _KMH = 3.6
+_NOMINAL = (50, 80, 95)
 
 
 def speed_scores(paired: Paired, blocks: Blocks, params: EvaluationParams) -> dict[str, Any] | None:
-    """Return bias and RMS of the speed error per moving track point, and the share within 1.96 stated sigma.
+    """Return bias and RMS of the speed error per moving track point, and how true the stated sigma is.
 
-    A point counts when its detection lies on a vehicle whose true speed at that frame is above ``moving_mps``. None
-    where the truth has no speeds.
+    A point counts when its detection lies on a vehicle whose true speed at that frame is above ``moving_mps``. Of a
+    true sigma, residuals over sigma have mean square 1, and 50, 80 and 95 % of them lie within the normal law's
+    0.67, 1.28 and 1.96. None where the truth has no speeds.
     """
     speed = paired.true["speed_mps"].to_numpy(float)
     if not np.isfinite(speed).any():
@@ -28,13 +31,22 @@ def speed_scores(paired: Paired, blocks: Blocks, params: EvaluationParams) -> di
     frame = found["frame"].to_numpy(int)[moving]
     sigma = found["speed_sigma_mps"].to_numpy(float, na_value=np.nan)[moving]
     error = found["speed_mps"].to_numpy(float)[moving] - true[moving]
-    count, stated = blocks.totals(frame), np.isfinite(sigma)
+    count, stated = blocks.totals(frame), np.isfinite(sigma) & (sigma > 0)
     square = blocks.totals(frame, (_KMH * error) ** 2)
-    covered = np.abs(error[stated]) <= 1.96 * sigma[stated]
+    residual = error[stated] / sigma[stated]
+    stated_frame, stated_count = frame[stated], blocks.totals(frame[stated])
+    within = {
+        f"within_stated_{share}": blocks.ratio(
+            blocks.totals(stated_frame, np.abs(residual) <= norm.ppf(0.5 + share / 200)), stated_count
+        )
+        for share in _NOMINAL
+    }
     return {
         "points": int(moving.sum()),
         "bias_kmh": blocks.ratio(blocks.totals(frame, _KMH * error), count),
         "rms_kmh": blocks.score(np.sqrt(divide(square, count))),
         "absolute_median_kmh": blocks.quantile(frame, _KMH * np.abs(error)),
-        "within_stated_95": blocks.ratio(blocks.totals(frame[stated], covered), blocks.totals(frame[stated])),
+        "points_with_sigma": int(stated.sum()),
+        "residual_mean_square": blocks.ratio(blocks.totals(stated_frame, residual**2), stated_count),
+        **within,
     }

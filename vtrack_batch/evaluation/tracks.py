@@ -6,40 +6,22 @@ similarity ``1 - distance / (2 · gate)``: a pair within the gate is one of simi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from vtrack_batch.evaluation.assignment import best_pairs
+from vtrack_batch.evaluation.assignment import Index, best_pairs
 from vtrack_batch.evaluation.blocks import Array, Blocks, divide
+from vtrack_batch.evaluation.calibration import calibration
+from vtrack_batch.evaluation.clear import clear_scores
+from vtrack_batch.evaluation.links import with_names
 from vtrack_batch.evaluation.pairing import NEUTRAL, Paired
 from vtrack_batch.evaluation.params import EvaluationParams
+from vtrack_batch.evaluation.sides import Result
+from vtrack_batch.evaluation.tracked import EPSILON, Tracked
 
-_EPSILON = float(np.finfo(float).eps)
 _ALPHAS = np.arange(0.05, 0.99, 0.05)
-
-Index = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class Tracked:
-    """Points of tracks and true sightings, frame by frame.
-
-    ``vehicle``, ``frame`` (n_true,) and ``track``, ``track_frame`` (n_points,) are codes; ``i`` (row of a sighting),
-    ``j`` (row of a point), ``similarity`` (n_pairs,) are all pairs of one frame with similarity
-    > 0, in order of frame.
-    """
-
-    vehicle: Index
-    frame: Index
-    track: Index
-    track_frame: Index
-    i: Index
-    j: Index
-    similarity: Array
 
 
 def track_scores(paired: Paired, blocks: Blocks, params: EvaluationParams) -> dict[str, Any]:
@@ -56,7 +38,7 @@ def identity_scores(tracked: Tracked, blocks: Blocks) -> dict[str, Any]:
         "vehicles": len(np.unique(tracked.vehicle)),
         "tracks": len(np.unique(tracked.track)),
         "idf1": _idf1(tracked, blocks),
-        **_clear(tracked, blocks),
+        **clear_scores(tracked, blocks),
         **_hota(tracked, blocks),
     }
 
@@ -86,39 +68,13 @@ def comparable(paired: Paired) -> Tracked:
 
 def _idf1(tracked: Tracked, blocks: Blocks) -> dict[str, float | None]:
     """Ristani and others 2016: vehicles against tracks one to one, so that most frames agree."""
-    within = tracked.similarity >= 0.5 - _EPSILON
+    within = tracked.similarity >= 0.5 - EPSILON
     i, j = tracked.i[within], tracked.j[within]
     pairs, code, together = _couples(tracked.vehicle[i], tracked.track[j])
     chosen = np.zeros(len(together), bool)
     chosen[best_pairs(pairs[0], pairs[1], together.astype(float))] = True
     right = blocks.totals(tracked.frame[i], chosen[code])
     return blocks.ratio(2 * right, blocks.totals(tracked.frame) + blocks.totals(tracked.track_frame))
-
-
-def _clear(tracked: Tracked, blocks: Blocks) -> dict[str, Any]:
-    """Bernardin and Stiefelhagen 2008: match each frame, keeping pairs of the frame before; count switches."""
-    partner = np.full(tracked.vehicle.max(initial=-1) + 1, -1)
-    former = partner.copy()
-    right, switches = [], []
-    starts = np.searchsorted(tracked.frame[tracked.i], np.arange(len(blocks.of_frame) + 1))
-    populated = np.intersect1d(tracked.frame, tracked.track_frame)
-    for frame in populated:
-        rows = slice(starts[frame], starts[frame + 1])
-        vehicle, track = tracked.vehicle[tracked.i[rows]], tracked.track[tracked.j[rows]]
-        similarity = tracked.similarity[rows]
-        within = similarity >= 0.5 - _EPSILON
-        vehicle, track = vehicle[within], track[within]
-        best = best_pairs(vehicle, track, similarity[within] + 1000.0 * (former[vehicle] == track))
-        vehicle, track = vehicle[best], track[best]
-        switched = (partner[vehicle] >= 0) & (partner[vehicle] != track)
-        partner[vehicle] = track
-        former[:] = -1
-        former[vehicle] = track
-        right.append(np.full(len(best), frame))
-        switches.append(np.full(int(switched.sum()), frame))
-    tp, ids = (blocks.totals(np.concatenate([np.empty(0, np.int64), *part])) for part in (right, switches))
-    true, points = blocks.totals(tracked.frame), blocks.totals(tracked.track_frame)
-    return {"mota": blocks.score(divide(2 * tp - points - ids, true)), "id_switches": int(ids[0])}
 
 
 def _hota(tracked: Tracked, blocks: Blocks) -> dict[str, dict[str, float | None]]:
@@ -128,15 +84,15 @@ def _hota(tracked: Tracked, blocks: Blocks) -> dict[str, dict[str, float | None]
     vehicle, track = tracked.vehicle[tracked.i], tracked.track[tracked.j]
     of_true = np.bincount(tracked.i, tracked.similarity, len(tracked.vehicle))
     of_point = np.bincount(tracked.j, tracked.similarity, len(tracked.track))
-    share = tracked.similarity / np.maximum(of_true[tracked.i] + of_point[tracked.j] - tracked.similarity, _EPSILON)
+    share = tracked.similarity / np.maximum(of_true[tracked.i] + of_point[tracked.j] - tracked.similarity, EPSILON)
     pairs, code, _ = _couples(vehicle, track)
     alike = np.bincount(code, share, len(pairs[0]))
     alike = alike / (size_v[pairs[0]] + size_t[pairs[1]] - alike)
     best = best_pairs(tracked.i, tracked.j, alike[code] * tracked.similarity)
     all_points = blocks.totals(tracked.frame) + blocks.totals(tracked.track_frame)
-    values = {"hota": [], "deta": [], "assa": []}  # type: dict[str, list[Array]]
+    values: dict[str, list[Array]] = {"hota": [], "deta": [], "assa": []}
     for alpha in _ALPHAS:
-        kept = best[tracked.similarity[best] >= alpha - _EPSILON]
+        kept = best[tracked.similarity[best] >= alpha - EPSILON]
         count = np.bincount(code[kept], minlength=len(pairs[0]))
         association = count / np.maximum(1, size_v[pairs[0]] + size_t[pairs[1]] - count)
         frame = tracked.frame[tracked.i[kept]]
@@ -194,3 +150,23 @@ def _couples(vehicle: Index, track: Index) -> tuple[tuple[Index, Index], Index, 
     base = int(track.max(initial=0)) + 1
     distinct, code, count = np.unique(vehicle * base + track, return_inverse=True, return_counts=True)
     return (distinct // base, distinct % base), code, count
+
+
+def identity_calibration(
+    result: Result, paired: Paired, blocks: Blocks, params: EvaluationParams
+) -> dict[str, Any] | None:
+    """Return how true ``identity_probability`` is: how often all sightings of a track are one vehicle, by what it says.
+
+    Tracks without a sighting that can be judged, and parked ones, are left out; a track belongs to the block in which
+    it is first seen. None where no probability is stated.
+    """
+    stated = result.trajectories.dropna(subset=["identity_probability"])
+    found = with_names(paired)
+    judged = found[(found["name"] != "") & ~found["parked"] & found["vehicle_id"].notna()]
+    by = judged.sort_values("frame").groupby("vehicle_id", sort=True)
+    each = pd.DataFrame({"frame": by["frame"].first(), "names": by["name"].nunique(), "on": by["vehicle"].count()})
+    each["size"] = by.size()
+    each = each.join(stated.drop_duplicates("vehicle_id").set_index("vehicle_id")["identity_probability"], how="inner")
+    right = ((each["names"] == 1) & (each["on"] == each["size"])).to_numpy()
+    stated_p = each["identity_probability"].to_numpy(float)
+    return calibration(each["frame"].to_numpy(np.int64), stated_p, right, blocks, least=params.least_probability)

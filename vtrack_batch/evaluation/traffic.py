@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vtrack_batch.evaluation.blocks import Array, Blocks, divide, draw_blocks
+from vtrack_batch.evaluation.bins import Counted, counted
+from vtrack_batch.evaluation.blocks import Array, Score, divide
 from vtrack_batch.evaluation.params import EvaluationParams
 from vtrack_batch.evaluation.sides import ENDS_NOT_PLACES, Result, Truth
 
-_GEH_GOOD = 5.0
+_GEH_GOOD = (2.0, 5.0)
 
 
 def od_scores(
@@ -21,30 +22,30 @@ def od_scores(
     """Return the error of the OD table, GEH of its cells and the shares of unknown ends; None without a true table.
 
     Error = sum |found - true| / sum true over cells whose ends are both known, all bins together: the truth holds only
-    what was in view. Bins are the blocks of the interval; a single bin has none.
+    what was in view. Intervals are drawn over bins, or parts of them (see ``bins``).
     """
     if truth.od_pairs.empty:
         return None
     cell = ["origin", "destination"]
-    found, true = (_by_bin(_all_classes(table), cell) for table in (result.od_pairs, truth.od_pairs))
-    found = found.assign(**{end: found[end].map(lambda place: names.get(place, place)) for end in cell})
-    known = [table[~table[cell].isin(ENDS_NOT_PLACES).any(axis=1)] for table in (found, true)]
-    blocks, counts = _counts(known[0], known[1], cell, params)
-    error, whole = np.abs(blocks.draws @ (counts[0] - counts[1])).sum(axis=1), (blocks.draws @ counts[1]).sum(axis=1)
-    total = [float(table["count"].sum()) for table in (found, true)]
-    in_known = [float(table["count"].sum()) for table in known]
-    geh = _geh(counts[0].sum(axis=0), counts[1].sum(axis=0), _hours(truth.od_pairs))
+    sides = (
+        _by_bin(all_classes(renamed(result.od_pairs, cell, names)), cell),
+        _by_bin(all_classes(truth.od_pairs), cell),
+    )
+    trips = _trips(renamed(result.trajectories, cell, names), cell), _trips(truth.trajectories, cell)
+    both = counted(sides, trips, bin_hours(truth.od_pairs), params)
+    known = ~both.cells.to_frame()[cell].isin(ENDS_NOT_PLACES).any(axis=1).to_numpy(bool)
+    found, true = both.found[:, known], both.true[:, known]
+    blocks, whole = both.blocks, true.sum(axis=1)
     return {
-        "cells": int(counts[0].shape[1]),
-        "true_count": in_known[1],
-        "found_count": in_known[0],
-        "error": blocks.ratio(error, whole),
-        "count_ratio": blocks.ratio((blocks.draws @ counts[0]).sum(axis=1), whole),
-        "unknown_share_found": 1 - in_known[0] / total[0] if total[0] else None,
-        "unknown_share_true": 1 - in_known[1] / total[1] if total[1] else None,
-        "geh_median": float(np.median(geh)) if len(geh) else None,
-        "geh_below_5_share": float(np.mean(geh < _GEH_GOOD)) if len(geh) else None,
-        "table": _beside(_cells(known[0], known[1], cell), counts[0].sum(axis=0), counts[1].sum(axis=0)),
+        "cells": int(known.sum()),
+        "true_count": float(whole[0]),
+        "found_count": float(found[0].sum()),
+        "error": blocks.ratio(np.abs(found - true).sum(axis=1), whole),
+        "count_ratio": blocks.ratio(found.sum(axis=1), whole),
+        "unknown_share_found": blocks.ratio(both.found[:, ~known].sum(axis=1), both.found.sum(axis=1)),
+        "unknown_share_true": blocks.ratio(both.true[:, ~known].sum(axis=1), both.true.sum(axis=1)),
+        **_geh_scores(found, true, both),
+        "table": _beside(both, known),
     }
 
 
@@ -60,15 +61,18 @@ def turn_scores(
     if truth.turns.empty:
         return None
     cell = ["approach", "movement"]
-    found, true = (_by_bin(_all_classes(table), cell) for table in (result.turns, truth.turns))
-    found = found.assign(**{part: found[part].map(lambda place: names.get(place, place)) for part in cell})
-    found, true = (
-        table[~table["movement"].isin(ENDS_NOT_PLACES)].assign(approach=table["approach"].str.removeprefix("approach_"))
-        for table in (found, true)
+    sides = (
+        _by_bin(all_classes(table), cell)
+        for table in (as_arms(renamed(result.turns, cell, names)), as_arms(truth.turns))
     )
-    blocks, (f, t) = _counts(found, true, cell, params)
-    f, t = blocks.draws @ f, blocks.draws @ t
-    approach = _cells(found, true, cell).get_level_values("approach")
+    found, true = (side[~side["movement"].isin(ENDS_NOT_PLACES)] for side in sides)
+    trips = (
+        _trips(renamed(result.trajectories, ["movement"], names), ["movement"]),
+        _trips(truth.trajectories, ["movement"]),
+    )
+    both = counted((found, true), trips, bin_hours(truth.turns), params)
+    f, t, blocks = both.found, both.true, both.blocks
+    approach = both.cells.get_level_values("approach")
     same = (approach.to_numpy()[:, None] == approach.to_numpy()).astype(float)
     weight = t @ same
     shares = divide(f, f @ same), divide(t, weight)
@@ -79,14 +83,57 @@ def turn_scores(
         "found_count": float(f[0].sum()),
         "count_error": blocks.ratio(np.abs(f - t).sum(axis=1), t.sum(axis=1)),
         "share_error": blocks.ratio((off * size).sum(axis=1), size.sum(axis=1)),
-        "table": _beside(_cells(found, true, cell), f[0], t[0]),
+        **_geh_scores(f, t, both),
+        "table": _beside(both, np.ones(len(both.cells), bool)),
     }
 
 
-def _all_classes(table: pd.DataFrame) -> pd.DataFrame:
+def all_classes(table: pd.DataFrame) -> pd.DataFrame:
     """Return the rows of all classes together: those called ``all``, or every row where there are none such."""
     together = table[table["vehicle_class"] == "all"]
     return together if len(together) else table
+
+
+def renamed(table: pd.DataFrame, columns: list[str], names: Mapping[str, str]) -> pd.DataFrame:
+    """Return *table* with the places of *columns* in the truth's words."""
+    return table.assign(**{name: table[name].map(lambda place: names.get(place, place)) for name in columns})
+
+
+def as_arms(turns: pd.DataFrame) -> pd.DataFrame:
+    """Return *turns* with approaches called by their arm."""
+    return turns.assign(approach=turns["approach"].astype(object).str.removeprefix("approach_"))
+
+
+def bin_hours(table: pd.DataFrame) -> pd.Series:
+    """Return the observed hours by bin: the longest that any cell was observed, else the bin's length."""
+    seconds = table["observed_s"].fillna(0.0).where(lambda s: s > 0, table["bin_s"].astype(float))
+    return seconds.groupby(table["bin_start_utc"]).max() / 3600
+
+
+def geh(found: Array, true: Array, hours: Array | float) -> Array:
+    """Return Geoffrey E. Havers' GEH of hourly volumes: sqrt(2 (m - c)² / (m + c)), NaN where both are 0 (DMRB)."""
+    m, c = divide(found, hours + 0 * found), divide(true, hours + 0 * true)
+    return np.sqrt(divide(2 * (m - c) ** 2, m + c))
+
+
+def _geh_scores(found: Array, true: Array, both: Counted) -> dict[str, Score]:
+    """Return the median GEH over the cells that have vehicles, and the shares of cells below 2 and below 5."""
+    values = geh(found, true, both.hours[:, None])
+    used = np.isfinite(values)
+    count = used.sum(axis=1).astype(float)
+    middle = np.full(len(values), np.nan)
+    middle[count > 0] = np.nanmedian(values[count > 0], axis=1)
+    below = {
+        f"geh_below_{limit:.0f}": both.blocks.ratio(((values < limit) & used).sum(axis=1).astype(float), count)
+        for limit in _GEH_GOOD
+    }
+    return {"geh_median": both.blocks.score(middle), **below}
+
+
+def _trips(trajectories: pd.DataFrame, cell: list[str]) -> pd.DataFrame:
+    """Return when trips begin, with what they know of their cell."""
+    trips = trajectories[[*cell, "t_start_utc"]].dropna().rename(columns={"t_start_utc": "t_utc"})
+    return trips.astype({"t_utc": "datetime64[us, UTC]"})
 
 
 def _by_bin(table: pd.DataFrame, cell: list[str]) -> pd.DataFrame:
@@ -94,40 +141,8 @@ def _by_bin(table: pd.DataFrame, cell: list[str]) -> pd.DataFrame:
     return rows.groupby([*cell, "bin_start_utc"], observed=True, sort=True)["count"].sum().reset_index()
 
 
-def _cells(found: pd.DataFrame, true: pd.DataFrame, cell: list[str]) -> pd.MultiIndex:
-    return pd.MultiIndex.from_frame(pd.concat([found[cell], true[cell]]).drop_duplicates().sort_values(cell))
-
-
-def _beside(cells: pd.MultiIndex, found: Array, true: Array) -> list[dict[str, Any]]:
+def _beside(both: Counted, chosen: np.ndarray[Any, np.dtype[np.bool_]]) -> list[dict[str, Any]]:
     """Return truth beside result, one row a cell that either has."""
-    rows = cells.to_frame(index=False).assign(true=true, found=found)
+    values = geh(both.found[0], both.true[0], both.hours[0])
+    rows = both.cells.to_frame(index=False).assign(true=both.true[0], found=both.found[0], geh=values)[chosen]
     return rows[(rows["true"] > 0) | (rows["found"] > 0)].to_dict("records")  # type: ignore[return-value]
-
-
-def _counts(
-    found: pd.DataFrame, true: pd.DataFrame, cell: list[str], params: EvaluationParams
-) -> tuple[Blocks, tuple[Array, Array]]:
-    """Return blocks that are the bins, and the counts (bins, cells) of both sides."""
-    cells = _cells(found, true, cell)
-    bins = pd.Index(pd.concat([found["bin_start_utc"], true["bin_start_utc"]]).drop_duplicates().sort_values())
-    counts = []
-    for table in (found, true):
-        grid = np.zeros((max(1, len(bins)), len(cells)))
-        where = bins.get_indexer(table["bin_start_utc"]), cells.get_indexer(pd.MultiIndex.from_frame(table[cell]))
-        np.add.at(grid, where, table["count"].to_numpy(float))
-        counts.append(grid)
-    draws = draw_blocks(max(1, len(bins)), params)
-    return Blocks(np.arange(max(1, len(bins))), draws, float("nan")), (counts[0], counts[1])
-
-
-def _hours(table: pd.DataFrame) -> float:
-    """Return the observed time in hours: over the bins, the longest that any cell was observed."""
-    seconds = table["observed_s"].fillna(0.0).where(lambda s: s > 0, table["bin_s"].astype(float))
-    return float(seconds.groupby(table["bin_start_utc"]).max().sum()) / 3600
-
-
-def _geh(found: Array, true: Array, hours: float) -> Array:
-    """Return Geoffrey E. Havers' statistic of hourly volumes per cell: sqrt(2 (m - c)² / (m + c)) (DMRB)."""
-    m, c = found / hours, true / hours
-    used = (m + c) > 0
-    return np.asarray(np.sqrt(2 * (m - c)[used] ** 2 / (m + c)[used]))

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from vtrack_batch.errors import UnusableData
 
@@ -54,14 +55,78 @@ def candidates(earlier_xy: Array, later_xy: Array, reach: float, *, limit: int =
 
 
 def pairs_within(a_xy: Array, b_xy: Array, radius: float, *, p: float, limit: int) -> tuple[Index, Index]:
-    """Return row numbers of all pairs of points within *radius* in the p-norm, sorted by (row of a, row of b)."""
-    tree_a, tree_b = KDTree(a_xy), KDTree(b_xy)
-    found = int(tree_a.count_neighbors(tree_b, radius, p=p))
-    if found > limit:
+    """Return row numbers of all pairs of points within *radius* in the 2- or the infinity-norm, sorted by both."""
+    if not (len(a_xy) and len(b_xy)):
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    low, side = b_xy.min(axis=0), max(radius, 1e-9)
+    band = np.floor((b_xy[:, 1] - low[1]) / side).astype(np.int64)
+    order = np.lexsort((b_xy[:, 0], band))
+    bands = _Bands(order, np.ascontiguousarray(b_xy[order]), band[order], np.array([low[1], side]))
+    box = p == np.inf
+    count = _count_near(np.ascontiguousarray(a_xy, float), bands, radius, box)
+    if int(count.sum()) > limit:
         raise UnusableData(
-            f"{found} pairs of {len(a_xy)} and {len(b_xy)} points lie within {radius:.1f} of one another, more than "
-            f"{limit}: is the unit of the coordinates metres, and is the interval right?"
+            f"{count.sum()} pairs of {len(a_xy)} and {len(b_xy)} points lie within {radius:.1f} of one another, more "
+            f"than {limit}: is the unit of the coordinates metres, and is the interval right?"
         )
-    pairs = tree_a.sparse_distance_matrix(tree_b, radius, p=p, output_type="ndarray")
-    order = np.lexsort((pairs["j"], pairs["i"]))
-    return pairs["i"][order].astype(np.int64), pairs["j"][order].astype(np.int64)
+    start = np.concatenate([[0], np.cumsum(count)])
+    near = _near(np.ascontiguousarray(a_xy, float), bands, radius, box, start)
+    return np.repeat(np.arange(len(a_xy)), count), near
+
+
+class _Bands(NamedTuple):
+    """Points in horizontal bands as high as the radius, by x in each (a named tuple, because compiled code reads it).
+
+    ``order`` (m,) are their rows, ``xy`` (m, 2) and ``band`` (m,) sorted by it; ``origin`` is y and height of band 0.
+    """
+
+    order: Index
+    xy: Array
+    band: Index
+    origin: Array
+
+
+@njit(cache=True, nogil=True)
+def _span(bands, band, low_x):  # type: ignore[no-untyped-def]
+    """First point of *band* that is not left of *low_x*."""
+    lo, hi = 0, len(bands.band)
+    while lo < hi:
+        middle = (lo + hi) // 2
+        if bands.band[middle] < band or (bands.band[middle] == band and bands.xy[middle, 0] < low_x):
+            lo = middle + 1
+        else:
+            hi = middle
+    return lo
+
+
+@njit(cache=True, nogil=True)
+def _count_near(a, bands, radius, box):  # type: ignore[no-untyped-def]
+    count = np.zeros(len(a), np.int64)
+    for i in range(len(a)):
+        middle = int(np.floor((a[i, 1] - bands.origin[0]) / bands.origin[1]))
+        for band in range(middle - 1, middle + 2):
+            for s in range(_span(bands, band, a[i, 0] - radius), len(bands.band)):
+                dx, dy = bands.xy[s, 0] - a[i, 0], bands.xy[s, 1] - a[i, 1]
+                if bands.band[s] != band or dx > radius:
+                    break
+                if abs(dx) <= radius and abs(dy) <= radius and (box or dx * dx + dy * dy <= radius * radius):
+                    count[i] += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _near(a, bands, radius, box, start):  # type: ignore[no-untyped-def]
+    near = np.empty(start[-1], np.int64)
+    for i in range(len(a)):
+        at = start[i]
+        middle = int(np.floor((a[i, 1] - bands.origin[0]) / bands.origin[1]))
+        for band in range(middle - 1, middle + 2):
+            for s in range(_span(bands, band, a[i, 0] - radius), len(bands.band)):
+                dx, dy = bands.xy[s, 0] - a[i, 0], bands.xy[s, 1] - a[i, 1]
+                if bands.band[s] != band or dx > radius:
+                    break
+                if abs(dx) <= radius and abs(dy) <= radius and (box or dx * dx + dy * dy <= radius * radius):
+                    near[at] = bands.order[s]
+                    at += 1
+        near[start[i] : at].sort()
+    return near

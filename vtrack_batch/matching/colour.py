@@ -51,6 +51,7 @@ class Paint:
         # sorted, so that the sample does not depend on the order of rows
         ordered = population_rgb[np.lexsort(population_rgb.T)] if len(population_rgb) else np.zeros((1, 3))
         self._population = opponent(ordered[::every])
+        self.params = params
         self.noise = np.array(
             [params.brightness_sigma, params.gain_sigma, params.chroma_sigma, params.outlier_share], float
         )

@@ -34,6 +34,14 @@ def one_to_one(edges: Edges, labels: Labels) -> Mask:
     return assign(edges.i, edges.k, odds)
 
 
+def most_right(edges: Edges, labels: Labels) -> Mask:
+    """Pick the one-to-one set of which the most labels are expected to be right, no match counted as a label.
+
+    A link of probability p puts two labels right; without it each of its ends would be right with that of no match.
+    """
+    return assign(edges.i, edges.k, labels.p + labels.q - labels.p_none[edges.i] - labels.q_none[edges.k])
+
+
 def assign(i: Index, k: Index, gain: Array) -> Mask:
     """Pick pairs (i, k) so that none is used twice and the sum of *gain* (e,) is greatest; gains <= 0 are never picked.
 

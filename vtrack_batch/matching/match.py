@@ -9,16 +9,27 @@ from vtrack_batch.errors import ConfigError, UnusableData
 from vtrack_batch.matching import decision
 from vtrack_batch.matching.candidates import Array, Edges, candidates
 from vtrack_batch.matching.colour import Paint, colour_labels, equal_labels, learned_noise
+from vtrack_batch.matching.features import Evidence
 from vtrack_batch.matching.flow import FlowMap
-from vtrack_batch.matching.neighbours import labels_from, match_by_neighbours, neighbours_of
+from vtrack_batch.matching.neighbours import Neighbours, labels_from, match_by_neighbours, neighbours_of
 from vtrack_batch.matching.params import ColourParams, MatchingParams, Method
+from vtrack_batch.matching.regions import pair_labels
 from vtrack_batch.matching.relaxation import Labels, relax
+from vtrack_batch.matching.score import labels_of, link_probabilities
 from vtrack_batch.matching.vehicles import Vehicles
 
 SURE = 0.9  # links from which the spread of colours is learned
 MOVING_MPS = 2.0
 PAPER = {"original", "colour", "opposite", "proposed"}
-DECISION = {"original": "argmax", "colour": "argmax", "opposite": "mutual", "proposed": "mutual", "nearest": "argmax"}
+DECISION = {
+    "original": "argmax",
+    "colour": "argmax",
+    "opposite": "mutual",
+    "proposed": "mutual",
+    "regions": "mutual",
+    "nearest": "argmax",
+    "default": "most_right",
+}
 
 
 def match(
@@ -30,7 +41,7 @@ def match(
     flow_map: FlowMap | None = None,
     params: MatchingParams | None = None,
 ) -> pd.DataFrame:
-    """Match the vehicles of two images taken *elapsed_s* apart; no history, no training.
+    """Match the vehicles of two images taken *elapsed_s* apart, without history.
 
     Both tables hold ``detection_id``, ``x_m``, ``y_m`` and may hold ``red, green, blue`` (0-255); in any order of rows.
     Returns ``detection_id_from``, ``detection_id_to`` (null on one side = disappeared or appeared), ``probability``
@@ -38,18 +49,25 @@ def match(
     """
     params = params or MatchingParams()
     chosen = params.method if method == "default" else method
-    if chosen not in (*PAPER, "default", "untrained", "assignment", "nearest"):
+    if chosen not in (*PAPER, "default", "untrained", "regions", "assignment", "nearest"):
         raise ConfigError(f"matching method {method!r} is unknown")
     if not (np.isfinite(elapsed_s) and elapsed_s > 0):
         raise UnusableData(f"elapsed_s must be positive, not {elapsed_s!r}")
     a, b = Vehicles.of(earlier, "earlier image"), Vehicles.of(later, "later image")
     edges = candidates(a.xy, b.xy, params.reach_m(elapsed_s), limit=params.max_candidate_pairs)
+    if flow_map is not None and chosen not in (*PAPER, "nearest", "regions"):
+        edges = edges.select(flow_map.possible(a.xy[edges.i], b.xy[edges.k], elapsed_s))
     if chosen in PAPER:
         labels = paper_labels(edges, a, b, elapsed_s, chosen, params)
+    elif chosen == "regions":
+        labels = pair_labels(edges, a, b, elapsed_s, params.regions)
     elif chosen == "nearest":
         labels = nearest_labels(edges)
     else:
-        labels = untrained_labels(edges, a, b, elapsed_s, params, flow_map, alone=chosen == "assignment")
+        labels, evidence = untrained_labels(edges, a, b, elapsed_s, params, flow_map, alone=chosen == "assignment")
+    if chosen == "default":
+        p = link_probabilities(edges, evidence, a.xy, b.xy, elapsed_s=elapsed_s, flow_map=flow_map)
+        labels = labels_of(edges, p)
     rule = DECISION.get(chosen, "one_to_one") if params.decision == "method" else params.decision
     picked = getattr(decision, rule)(edges, labels)
     return _table(a, b, edges, labels, picked, chosen)
@@ -75,35 +93,50 @@ def untrained_labels(
     flow_map: FlowMap | None = None,
     *,
     alone: bool = False,
-) -> Labels:
-    """Return label probabilities by Bayes' rule: displacement (or the place's flow), colour, misses, neighbours.
+) -> tuple[Labels, Evidence]:
+    """Return label probabilities by Bayes' rule, and what they are made of: displacement (or flow), colour, neighbours.
 
     An edge's odds against no match are p(displacement) p(colour | same) / (density of vehicles · p(colour)). With
     *alone* every vehicle is judged without its neighbours: plain assignment on displacement and colour.
     """
-    prior = displacement_density(edges, elapsed_s, params)
-    if flow_map is not None:
-        prior = flow_map.mixed(
-            prior, a.xy[edges.i], edges.displacement, elapsed_s, prior_weight=params.neighbours.prior_weight
-        )
+    neighbours = None if alone else neighbours_of(edges, a.xy, b.xy, elapsed_s=elapsed_s, params=params.neighbours)
+    prior = place_density(edges, a.xy, elapsed_s, params, flow_map)
 
-    neighbours = neighbours_of(edges, a.xy, b.xy, elapsed_s=elapsed_s, params=params.neighbours)
-
-    def judged(colour: ColourParams) -> Labels:
+    def judged(colour: ColourParams) -> tuple[Labels, Evidence]:
         log_colour = None
         if a.rgb is not None and b.rgb is not None and len(edges):
-            log_colour = Paint(np.vstack([a.rgb, b.rgb]), colour).log_ratio(a.rgb[edges.i], b.rgb[edges.k])
-        evidence = log_evidence(edges, log_colour, elapsed_s, params)
-        if alone:
-            return labels_from(edges, evidence + np.log(prior))
-        return match_by_neighbours(edges, neighbours, evidence, prior, params.neighbours)[0]
+            paint = Paint(np.vstack([a.rgb, b.rgb]), colour)
+            log_random = 0.5 * (paint.log_density(a.rgb)[edges.i] + paint.log_density(b.rgb)[edges.k])
+            log_colour = paint.log_ratio_given(a.rgb[edges.i], b.rgb[edges.k], log_random)
+        evidence = bayes_evidence(edges, neighbours, prior, log_colour, elapsed_s, params, colour)
+        return labels_from(edges, evidence.log_odds), evidence
 
     if a.rgb is None or b.rgb is None or params.colour.first_guess == 1:
         return judged(params.colour)
-    guess = judged(params.colour.wide())
+    guess = judged(params.colour.wide())[0]
     # what stands looks more alike from frame to frame than what drives
     sure = (np.minimum(guess.p, guess.q) > SURE) & (np.hypot(*edges.displacement.T) > MOVING_MPS * elapsed_s)
     return judged(learned_noise(a.rgb[edges.i[sure]], b.rgb[edges.k[sure]], params.colour))
+
+
+def bayes_evidence(
+    edges: Edges,
+    neighbours: Neighbours | None,
+    prior: Array,
+    log_colour: Array | None,
+    elapsed_s: float,
+    params: MatchingParams,
+    colour: ColourParams,
+) -> Evidence:
+    """Return what Bayes' rule makes of every edge; *prior* (e,) 1/m2, *log_colour* (e,) under the spreads *colour*."""
+    log_rest = log_evidence(edges, log_colour, elapsed_s, params)
+    log_odds = log_rest + np.log(prior)
+    if neighbours is not None:
+        log_odds = match_by_neighbours(edges, neighbours, log_rest, prior, params.neighbours)[1]
+    log_density = np.log(_candidate_density(edges, params.reach_m(elapsed_s)))
+    light = colour.brightness_sigma / params.colour.brightness_sigma
+    chroma = colour.chroma_sigma / params.colour.chroma_sigma
+    return Evidence(log_odds, log_colour, log_odds - log_rest, log_density, light, chroma)
 
 
 def log_evidence(edges: Edges, log_colour: Array | None, elapsed_s: float, params: MatchingParams) -> Array:
@@ -126,6 +159,17 @@ def nearest_labels(edges: Edges) -> Labels:
     sum_k = np.bincount(edges.k, weights=closeness, minlength=edges.m)
     p, q = closeness / sum_i[edges.i], closeness / sum_k[edges.k]
     return Labels(p, q, (sum_i == 0).astype(float), (sum_k == 0).astype(float))
+
+
+def place_density(
+    edges: Edges, earlier_xy: Array, elapsed_s: float, params: MatchingParams, flow_map: FlowMap | None
+) -> Array:
+    """Density (1/m2) of displacements before neighbours are asked: the place's own where it is known."""
+    prior = displacement_density(edges, elapsed_s, params)
+    if flow_map is None:
+        return prior
+    weight = params.neighbours.prior_weight
+    return flow_map.mixed(prior, earlier_xy[edges.i], edges.displacement, elapsed_s, prior_weight=weight)
 
 
 def displacement_density(edges: Edges, elapsed_s: float, params: MatchingParams) -> Array:

@@ -19,11 +19,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from vtrack_batch.errors import UnusableData
 from vtrack_batch.matching.candidates import Array, Edges, Index, pairs_within
 from vtrack_batch.matching.params import NeighbourParams
-from vtrack_batch.matching.relaxation import Labels
+from vtrack_batch.matching.relaxation import Labels, by_displacement
 
 STILL_M = 2.0  # displacements below this have no direction: neighbours all around count alike
+MOST_VOTES = 150_000_000
 CUT = 3.0  # kernels end at this many standard deviations
 
 
@@ -98,22 +100,36 @@ def find_votes(owner: Index, displacement: Array, xy: Array, spread: float, para
     a, b = pairs_within(xy, xy, CUT * params.along_m, p=2, limit=50_000_000)
     a, b = a[a != b], b[a != b]
     near = np.searchsorted(a, np.arange(len(xy) + 1)), b
-    # by owner and then by dx, so that the search along a neighbour's edges can stop early
-    order = np.lexsort((displacement[:, 1], displacement[:, 0], owner))
+    order, first = by_displacement(owner, displacement[:, 0], len(xy))
     by_owner, d = owner[order], np.ascontiguousarray(displacement[order])
-    first = np.searchsorted(by_owner, np.arange(len(xy) + 1))
+    reached = np.concatenate([[0], np.cumsum(np.diff(first)[b])])  # edges of near owners: the most that may vote
+    most = np.diff(reached[near[0]])
     scale = np.array([spread, params.along_m, params.across_m])
-    return _renumbered(order, Votes(*_votes(by_owner, d, first, *near, xy, scale)))
+    start, voters = np.zeros(len(owner) + 1, np.int64), np.zeros(len(owner))
+    by, weight = np.empty(24 * len(owner), np.int32), np.empty(24 * len(owner), np.float32)
+    done = 0
+    while done < len(owner):
+        if len(by) > MOST_VOTES:
+            raise UnusableData(
+                f"more than {MOST_VOTES} pairs of possible links speak for one another among {len(xy)} vehicles: is "
+                "the unit of the coordinates metres, and is the interval right?"
+            )
+        done = _votes(by_owner, d, first, *near, most, xy, scale, start, by, weight, voters, done)
+        if done < len(owner):
+            room = max(len(by), int(most[by_owner[done]]))
+            by, weight = (np.concatenate([a, np.empty(room, a.dtype)]) for a in (by, weight))
+    return _renumbered(order, Votes(start, by[: start[-1]], weight[: start[-1]], voters))
 
 
 @njit(cache=True, nogil=True)
-def _votes(owner, d, first, near_start, near, xy, scale):  # type: ignore[no-untyped-def]
+def _votes(owner, d, first, near_start, near, most, xy, scale, start, by, weight, voters, done):  # type: ignore[no-untyped-def]
+    """Write the votes for the edges from number *done* on; returns the first for which room may be short."""
     spread, along, across = scale
-    start, voters = np.zeros(len(owner) + 1, np.int64), np.zeros(len(owner))
-    by, weight = np.empty(16 * len(owner), np.int32), np.empty(16 * len(owner), np.float32)
-    at = 0
-    for e in range(len(owner)):
+    at = start[done]
+    for e in range(done, len(owner)):
         i = owner[e]
+        if at + most[i] > len(by):
+            return e
         length = np.hypot(d[e, 0], d[e, 1])
         still = length <= STILL_M
         ux, uy = (0.0, 0.0) if still else (d[e, 0] / length, d[e, 1] / length)
@@ -140,13 +156,11 @@ def _votes(owner, d, first, near_start, near, xy, scale):  # type: ignore[no-unt
                 q = (dx * dx + dy * dy) / spread**2
                 if q > CUT * CUT:
                     continue
-                if at == len(by):
-                    by, weight = np.append(by, np.empty_like(by)), np.append(weight, np.empty_like(weight))
                 by[at] = f
                 weight[at] = place * np.exp(-0.5 * q) / (2 * np.pi * spread**2)
                 at += 1
         start[e + 1] = at
-    return start, by[:at], weight[:at], voters
+    return len(owner)
 
 
 def _renumbered(order: Index, votes: Votes) -> Votes:

@@ -8,8 +8,10 @@ from pydantic import Field
 
 from vtrack_batch.model.params import Params
 
-Method = Literal["default", "untrained", "original", "colour", "opposite", "proposed", "assignment", "nearest"]
-DecisionRule = Literal["method", "argmax", "mutual", "one_to_one"]
+Method = Literal[
+    "default", "untrained", "original", "colour", "opposite", "proposed", "regions", "assignment", "nearest"
+]
+DecisionRule = Literal["method", "argmax", "mutual", "one_to_one", "most_right"]
 
 
 class RelaxationParams(Params):
@@ -68,6 +70,18 @@ class ColourParams(Params):
         )
 
 
+class RegionParams(Params):
+    """Constants of region matching (Badenas et al.): what differences of features are expected before any match."""
+
+    start_speed_mps: float = Field(10.0, gt=0, description="spread of unknown velocities, per axis")
+    grey_sigma: float = Field(12.0, gt=0, description="expected difference of grey, 0-255")
+    position_floor_m: float = Field(0.3, gt=0, description="differences of place count as at least this: noise")
+    grey_floor: float = Field(3.0, gt=0, description="differences of grey count as at least this, 0-255")
+    speed_floor_mps: float = Field(0.5, gt=0, description="differences of velocity count as at least this, per axis")
+    cutoff_sigmas: float = Field(10.0, gt=0, description="regions less alike than this, in the mean, never match")
+    rounds: int = Field(10, ge=1, description="rounds of matching and weighing at most")
+
+
 class MatchingParams(Params):
     """Parameters of matching two images."""
 
@@ -77,7 +91,9 @@ class MatchingParams(Params):
     )
     reach_min_m: float = Field(2.0, ge=0, description="[D] is never less than this")
     decision: DecisionRule = Field(
-        "method", description="how labels become links; 'method' = argmax for a, b; mutual for c, d; else one to one"
+        "method",
+        description="how labels become links; 'method' = argmax for a, b; mutual for c, d; most right labels for the "
+        "default; else one to one",
     )
     paper: RelaxationParams = Field(RelaxationParams(), description="constants of the printed methods (a)-(d)")
     neighbours: NeighbourParams = Field(NeighbourParams(), description="the untrained default")
@@ -85,6 +101,7 @@ class MatchingParams(Params):
     missed_share: float = Field(0.1, gt=0, lt=1, description="prior share of vehicles without a partner")
     standing_share: float = Field(0.1, ge=0, lt=1, description="prior share of vehicles that stand still")
     standing_m: float = Field(0.7, gt=0, description="spread of the displacement of standing vehicles, per axis")
+    regions: RegionParams = Field(RegionParams(), description="region matching")
     max_candidate_pairs: int = Field(
         20_000_000, gt=0, description="more candidate pairs than this between two images is refused"
     )

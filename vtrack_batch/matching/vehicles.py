@@ -7,31 +7,71 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from vtrack_batch.errors import UnusableData
 from vtrack_batch.matching.candidates import Array
 
 COLOUR = ["red", "green", "blue"]
+VELOCITY = ["vx_mps", "vy_mps"]
+STRIP_M = 60.0
+HEAP_M, HEAP_MOST = 10.0, 64  # about 12 cars stand on 10 m x 10 m; the rest is room for false alarms
 
 
 @dataclass(frozen=True)
 class Vehicles:
-    """Vehicles of one image: ``ids`` (n,), ``xy`` (n, 2) float64 metres, ``rgb`` (n, 3) float64 or None; sorted."""
+    """Vehicles of one image: ``ids`` (n,), ``xy`` (n, 2) float64 metres, ``rgb`` (n, 3) float64 or None; sorted.
+
+    ``velocity`` (n, 2) float64 m/s as the detector measured it, NaN where it did not; None if it never did.
+    """
 
     ids: pd.Series[Any]
     xy: Array
     rgb: Array | None
+    velocity: Array | None = None
 
     def __len__(self) -> int:
         return len(self.xy)
 
     @classmethod
     def of(cls, detections: pd.DataFrame, name: str) -> Vehicles:
-        """Read and check *detections*; sort by x, y, id. Raises ``UnusableData`` on what cannot be used."""
+        """Read and check *detections*; sort by place and id. Raises ``UnusableData`` on what cannot be used."""
         checked = check(detections, name)
-        rows = checked.sort_values(["x_m", "y_m", "detection_id"], kind="stable", ignore_index=True)
-        rgb = rows[COLOUR].to_numpy(float) if set(COLOUR) <= set(rows.columns) else None
-        return cls(rows["detection_id"], rows[["x_m", "y_m"]].to_numpy(float), rgb)
+        xy = np.column_stack([checked["x_m"].to_numpy(float), checked["y_m"].to_numpy(float)])
+        rank = pd.factorize(checked["detection_id"], sort=True)[0]
+        # in strips, so that what is near on the ground is near in memory
+        order = np.lexsort((rank, xy[:, 1], xy[:, 0], np.floor(xy[:, 1] / STRIP_M)))
+        xy = xy[order]
+        coloured = set(COLOUR) <= set(checked.columns)
+        rgb = np.column_stack([checked[c].to_numpy(float) for c in COLOUR])[order] if coloured else None
+        refuse_heaps(xy, np.zeros(len(xy), np.int64), name)
+        velocity = measured_velocity(checked)
+        ids = checked["detection_id"].iloc[order].reset_index(drop=True)
+        return cls(ids, xy, rgb, None if velocity is None else velocity[order])
+
+
+def refuse_heaps(xy: Array, frame: NDArray[np.int64], name: str) -> None:
+    """Raise ``UnusableData`` where more points (n, 2) of one frame (n,) lie together than vehicles can.
+
+    Such heaps come of wrong units, and the work on them grows with the fourth power of their size.
+    """
+    cells = np.column_stack([frame, np.floor(xy / HEAP_M).astype(np.int64)])
+    found, at, count = np.unique(cells, axis=0, return_index=True, return_counts=True)
+    if len(found) and count.max() > HEAP_MOST:
+        x, y = xy[at[count.argmax()]]
+        raise UnusableData(
+            f"{name}: {count.max()} detections of one frame lie within {HEAP_M:.0f} m of one another, near "
+            f"({x:.6g}, {y:.6g}); no vehicles stand so close: is the unit of the coordinates metres?"
+        )
+
+
+def measured_velocity(rows: pd.DataFrame) -> Array | None:
+    """Return velocities (n, 2) in m/s, NaN where the detector measured none; None if it never did."""
+    if not set(VELOCITY) <= set(rows.columns):
+        return None
+    velocity = rows[VELOCITY].apply(pd.to_numeric, errors="coerce").to_numpy(float, na_value=np.nan)
+    known = np.isfinite(velocity).all(axis=1)
+    return np.where(known[:, None], velocity, np.nan) if known.any() else None
 
 
 def check(detections: pd.DataFrame, name: str, extra: tuple[str, ...] = ()) -> pd.DataFrame:

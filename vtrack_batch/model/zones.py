@@ -14,6 +14,7 @@ from shapely.geometry import LineString, Polygon
 
 Role = Literal["gate", "zone", "approach", "lane", "exclusion"]
 ROLES: tuple[Role, ...] = get_args(Role)
+TEMPLATE_NAME = "example: replace by your own"
 
 
 @dataclass(frozen=True)

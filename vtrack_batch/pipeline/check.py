@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import shapely
 
 from vtrack_batch.archive.decode import decode
 from vtrack_batch.archive.read import read_bytes
 from vtrack_batch.archive.sequences import shares_instant, split_sequences
 from vtrack_batch.config.survey import Survey
 from vtrack_batch.errors import UnusableFrame, VtrackError
+from vtrack_batch.georeference.fix import GroundFix
+from vtrack_batch.model import homography
+from vtrack_batch.model.zones import TEMPLATE_NAME, Zone
 from vtrack_batch.pipeline.ground import fix_ground
 from vtrack_batch.pipeline.index import scan_archive
 from vtrack_batch.pipeline.plan import FrameRef
-from vtrack_batch.pipeline.run import read_zones_text
-from vtrack_batch.traffic.zones import parse_zones
+from vtrack_batch.pipeline.prepare import read_zones_text
+from vtrack_batch.traffic.zones import doubtful_properties, parse_zones
 
 SAMPLE_FRAMES = 12
+SCALED = ("scale", "control_points")  # grounds that hold for one reference frame alone
+CAR_M = 4.5
+CAR_PX = (6.0, 90.0)  # length of a car in pixels for which detection was made
 
 
 @dataclass(frozen=True)
@@ -37,11 +44,19 @@ class Check:
 
     def text(self) -> str:
         """Return the findings for people."""
-        lines = [f"{name.replace('_', ' ')}: {value}" for name, value in self.facts.items()]
+        lines = [f"{name.replace('_', ' ')}: {_words(value)}" for name, value in self.facts.items()]
         return "\n".join(
             [*lines, *(f"problem: {problem}" for problem in self.problems)]
             + ([] if self.problems else ["no problems found"])
         )
+
+
+def _words(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {_words(inner)}" for name, inner in value.items() if inner is not None)
+    if isinstance(value, list):
+        return (", " if any(isinstance(part, str) for part in value) else " x ").join(map(str, value))
+    return str(value)
 
 
 def check_survey(survey: Survey) -> Check:
@@ -70,15 +85,18 @@ def check_survey(survey: Survey) -> Check:
     sizes, refused = _decode_sample(survey, files)
     facts["sizes_px"] = sorted({f"{width} x {height}" for width, height in sizes})
     problems += refused
-    facts["ground"] = _ground(survey, files.iloc[0], sizes, problems)
-    apart = facts["sequences"] > 1 and facts["ground"] and facts["ground"]["method"] in ("scale", "control_points")
-    if apart and survey.georeference.reference_frame is None:
+    fix = _ground(survey, files.iloc[0], sizes, problems)
+    facts["ground"] = _told(fix, sizes[0]) if fix else None
+    if fix and facts["sequences"] > 1 and fix.method in SCALED and survey.georeference.reference_frame is None:
         facts["note"] = (
             f"each of the {facts['sequences']} sequences is laid on its own first frame; if they show one place, set "
             "georeference.reference_frame to one frame, so that coordinates and zones mean the same in all"
         )
-    facts["zones"] = _zones(survey, facts["ground"])
-    return Check(facts, tuple(problems), 65 if not sizes else 78 if facts["ground"] is None else 0)
+    zones = _zones(survey, fix)
+    facts["zones"] = _counted(zones)
+    if fix and sizes:
+        problems += _doubts(zones, fix, sizes[0])
+    return Check(facts, tuple(problems), 65 if not sizes else 78 if fix is None else 0)
 
 
 def _median_interval_s(files: pd.DataFrame) -> float | None:
@@ -99,30 +117,63 @@ def _decode_sample(survey: Survey, files: pd.DataFrame) -> tuple[list[tuple[int,
     return sizes, refused
 
 
-def _ground(
-    survey: Survey, first: pd.Series, sizes: list[tuple[int, int]], problems: list[str]
-) -> dict[str, Any] | None:
+def _ground(survey: Survey, first: pd.Series, sizes: list[tuple[int, int]], problems: list[str]) -> GroundFix | None:
     if not sizes:
         return None
     root = survey.resolve(survey.archive.root)
     ref = FrameRef("", str(first["path"]), np.datetime64(0, "us"), "")
     try:
-        fix = fix_ground(survey, root, ref, read_bytes(root, ref.path), *sizes[0])
+        return fix_ground(survey, root, ref, read_bytes(root, ref.path), *sizes[0])
     except VtrackError as problem:
         problems.append(f"ground: {problem}")
         return None
+
+
+def _told(fix: GroundFix, size_px: tuple[int, int]) -> dict[str, Any]:
+    gsd_m = [round(gsd, 4) for gsd in fix.gsd_m]
     return {
-        "method": fix.method,
-        "crs": fix.crs,
-        "gsd_m": [round(gsd, 4) for gsd in fix.gsd_m],
+        "from": fix.method,
+        "crs": fix.crs or "local metres",
+        "gsd_m": gsd_m,
+        "frame_m": [round(gsd * size, 1) for gsd, size in zip(gsd_m, size_px, strict=True)],
+        "car_px": round(CAR_M / max(fix.gsd_m), 1),
         "residual_m": fix.residual_m,
     }
 
 
-def _zones(survey: Survey, ground: Mapping[str, Any] | None) -> str:
+def _zones(survey: Survey, fix: GroundFix | None) -> list[Zone] | None:
     text = read_zones_text(survey)
-    if text is None:
+    return None if text is None else parse_zones(text, crs=fix.crs if fix else None, source=str(survey.zones))
+
+
+def _counted(zones: list[Zone] | None) -> str:
+    if zones is None:
         return "none given: they will be proposed from the trajectories"
-    zones = parse_zones(text, crs=ground["crs"] if ground else None, source=str(survey.zones))
     roles = pd.Series([zone.role for zone in zones], dtype=object).value_counts().sort_index()
     return ", ".join(f"{count} {role}" for role, count in roles.items())
+
+
+def _doubts(zones: list[Zone] | None, fix: GroundFix, size_px: tuple[int, int]) -> Iterator[str]:
+    """Yield what reads well but can hardly be meant: the size of a pixel, zones out of view, the unedited template."""
+    car_px = CAR_M / max(fix.gsd_m)
+    if not CAR_PX[0] <= car_px <= CAR_PX[1]:
+        yield (
+            f"ground: at {max(fix.gsd_m):g} m a pixel a car is {car_px:.1f} px long; it can be found where it has "
+            f"{CAR_PX[0]:g} to {CAR_PX[1]:g}: is georeference.gsd_m in metres?"
+        )
+    width, height = size_px
+    corners = np.array([[-0.5, -0.5], [width - 0.5, -0.5], [width - 0.5, height - 0.5], [-0.5, height - 0.5]])
+    corners_m = homography.apply(fix.reference_to_ground, corners)
+    view = shapely.Polygon(corners_m)
+    yield from doubtful_properties(zones or [])
+    for zone in zones or []:
+        if zone.name == TEMPLATE_NAME:
+            yield f"zone {zone.id}: is still that of the template; draw your own, see docs/how-to/draw-zones.md"
+        elif not zone.geometry.intersects(view):
+            x, y = shapely.get_coordinates(zone.geometry.centroid)[0]
+            (left, bottom), (right, top) = corners_m.min(axis=0), corners_m.max(axis=0)
+            yield (
+                f"zone {zone.id}: lies at x {x:.0f}, y {y:.0f}, outside of the first frame "
+                f"(x {left:.0f} to {right:.0f}, y {bottom:.0f} to {top:.0f}); "
+                "nothing is counted there unless other frames see it"
+            )

@@ -11,7 +11,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from vtrack_batch.background.learn import Background, Sample, learn_background
+from vtrack_batch.background.learn import Background, learn_background
+from vtrack_batch.background.stacks import Sample
 from vtrack_batch.config.survey import Survey
 from vtrack_batch.detection.candidates import Candidates, find_candidates
 from vtrack_batch.detection.ground import measure_on_ground
@@ -28,6 +29,7 @@ from vtrack_batch.pipeline.ground import mosaic_gsd_m
 from vtrack_batch.pipeline.parts import Context, matrix_columns, write
 from vtrack_batch.pipeline.plan import FrameRef, Piece, Unit
 from vtrack_batch.pipeline.reading import FrameLog, Reader
+from vtrack_batch.pipeline.samples import sample_store
 from vtrack_batch.registration.alignment import Registration, register
 from vtrack_batch.registration.params import RegistrationParams
 from vtrack_batch.registration.reference import Reference, prepare_reference
@@ -40,13 +42,13 @@ def detect_unit(piece: Piece, context: Context) -> None:
     unit = piece.unit
     assert unit is not None
     log = FrameLog(unit)
-    reader = Reader(context.archive, context.survey.archive.max_pixels, log)
-    about: dict[str, Any] = {"name": piece.name}
-    with context.output.new_part(piece.step, piece.key, about) as folder:
+    reader = Reader(context.archive, context.survey.archive.max_pixels, log, context.take)
+    about: dict[str, Any] = {}
+    with context.new_part(piece, about) as folder:
         block = find_block(unit, reader, context)
         detections = empty_frame(TABLES["detections"])
         if block is not None:
-            background, references = _first_pass(unit, block, reader, context.survey)
+            background, references = _first_pass(unit, block, reader, context.survey, folder)
             detections = _second_pass(unit, block, background, references, reader, context.survey)
             _write_ground(folder, block, background, context.survey)
         _write(folder, log, block, detections)
@@ -66,16 +68,23 @@ class References:
         return pose if pose.accepted else register(pixels, self.whole, params=params)
 
 
-def _first_pass(unit: Unit, block: Block, reader: Reader, survey: Survey) -> tuple[Background, References]:
-    """Learn the background from frames spread over the unit and its halo, and a reference that avoids its traffic."""
+def _first_pass(
+    unit: Unit, block: Block, reader: Reader, survey: Survey, folder: Path
+) -> tuple[Background, References]:
+    """Learn the background from frames spread over the unit and its halo, and a reference that avoids its traffic.
+
+    Samples that memory should not hold wait in a file in *folder* without a name.
+    """
     rough = prepare_reference(block.pixels, params=survey.registration)
-    samples = [Sample(block.pixels, np.eye(3))]
-    for ref in _spread(unit, block.ref, survey.background.samples - 1):
-        pixels = reader.pixels(ref, block.size)
-        pose = register(pixels, rough, params=survey.registration) if pixels is not None else None
-        if pixels is not None and pose is not None and pose.accepted:
-            samples.append(Sample(pixels, pose.frame_to_reference))
-    background = learn_background(samples, params=survey.background)
+    chosen = _spread(unit, block.ref, survey.background.samples - 1)
+    with sample_store(folder, (len(chosen) + 1) * block.pixels.nbytes) as keep:
+        samples = [Sample(block.pixels, np.eye(3))]
+        for ref in chosen:
+            pixels = reader.pixels(ref, block.size)
+            pose = register(pixels, rough, params=survey.registration) if pixels is not None else None
+            if pixels is not None and pose is not None and pose.accepted:
+                samples.append(Sample(keep(pixels), pose.frame_to_reference))
+        background = learn_background(samples, params=survey.background)
     calm = prepare_reference(block.pixels, avoid=background.activity, params=survey.registration)
     return background, References(calm, rough)
 

@@ -1,61 +1,74 @@
-"""Carry out pieces of work with any number of processes: the one place for parallel policy.
+"""Carry out pieces of work: what is done when a worker dies of one.
 
-Results are written by content key, so neither the number of workers nor the order of completion can be seen in them.
+A worker's death costs its piece. The piece is done again alone, and again, until the same frame has been in the hand of
+two dead workers: that frame is the culprit. A death that does not come again was nobody's fault.
 """
 
 from __future__ import annotations
 
-import multiprocessing
-import os
+from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
-from vtrack_batch.errors import StorageError, VtrackError
+from vtrack_batch.errors import StorageError
+from vtrack_batch.pipeline.culprits import Culprit
 from vtrack_batch.pipeline.parts import Context
 from vtrack_batch.pipeline.plan import Piece
+from vtrack_batch.pipeline.workers import Death, Work, Workers
 
-Work = Callable[[Piece, Context], None]
-Progress = Callable[[Piece], None]
+STRIKES = 2
+MOST_DEATHS = 6
 
-ONE_THREAD = dict.fromkeys(
-    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"), "1"
-)
-
-
-def carry_out(pieces: Sequence[Piece], work: Work, context: Context, *, workers: int, progress: Progress) -> None:
-    """Do *work* on every piece; pieces must not depend on each other. The first error ends it."""
-    if workers == 1 or len(pieces) < 2:
-        for piece in pieces:
-            _do(piece, work, context)
-            progress(piece)
-        return
-    from pebble import ProcessExpired, ProcessPool
-
-    os.environ.update(ONE_THREAD)
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPool(max_workers=min(workers, len(pieces)), context=spawn) as pool:
-        futures = [(piece, pool.schedule(_do, args=(piece, work, context))) for piece in pieces]
-        try:
-            for piece, future in futures:
-                future.result()
-                progress(piece)
-        except ProcessExpired as death:
-            pool.stop()
-            raise StorageError(
-                f"a worker process died in step {piece.step}, {piece.name} (exit code {death.exitcode}); "
-                "out of memory? Try fewer workers; what was published before is intact"
-            ) from None
-        except BaseException:
-            pool.stop()
-            raise
+Tell = Callable[..., None]
+"""Told an event by name, with its facts as keywords."""
 
 
-def _do(piece: Piece, work: Work, context: Context) -> None:
-    """Do one piece in this process; OpenCV's own threads stay off so that workers do not crowd each other."""
-    import cv2
+@dataclass(frozen=True)
+class Crew:
+    """The workers of a run, its deadline, and who is told what happens."""
 
-    cv2.setNumThreads(1)
-    try:
-        work(piece, context)
-    except VtrackError as problem:
-        problem.add_note(f"in step {piece.step}, {piece.name}")
-        raise
+    workers: Workers
+    tell: Tell
+    until_s: float | None = None
+
+
+def carry_out(pieces: Sequence[Piece], work: Work, context: Context, crew: Crew) -> list[Culprit]:
+    """Do *work* on every piece, none of which needs another; returns the frames that must be left out to do the rest.
+
+    The first error ends it. Events: ``done`` and ``died`` with step and piece.
+    """
+    dead: list[tuple[Piece, Death]] = []
+    for piece, death in crew.workers.run(pieces, work, context, until_s=crew.until_s):
+        if death is None:
+            crew.tell("done", step=piece.step, piece=piece.name)
+        else:
+            _tell_death(piece, death, crew)
+            dead.append((piece, death))
+    found = [_culprit(piece, death, work, context, crew) for piece, death in dead]
+    return [culprit for culprit in found if culprit is not None]
+
+
+def _culprit(piece: Piece, death: Death, work: Work, context: Context, crew: Crew) -> Culprit | None:
+    """Do a piece again, alone, until it is done or the frame that kills its workers is known."""
+    strikes = Counter([death.frame])
+    for _ in range(MOST_DEATHS):
+        outcomes = list(crew.workers.run([piece], work, context, until_s=crew.until_s))
+        again = outcomes[0][1]
+        if again is None:
+            crew.tell("done", step=piece.step, piece=piece.name)
+            return None
+        _tell_death(piece, again, crew)
+        strikes[again.frame] += 1
+        if strikes[again.frame] >= STRIKES:
+            if again.frame is None:
+                break
+            crew.tell("quarantined", frame=again.frame, reason=again.reason, detail=again.detail)
+            return Culprit(again.frame, again.reason, again.detail)
+    raise StorageError(
+        f"workers die in step {piece.step}, {piece.name}, and not of one frame: {death.detail}; "
+        "out of memory? Try fewer workers; what was published before is intact"
+    )
+
+
+def _tell_death(piece: Piece, death: Death, crew: Crew) -> None:
+    crew.tell("died", step=piece.step, piece=piece.name, frame=death.frame, reason=death.reason, detail=death.detail)

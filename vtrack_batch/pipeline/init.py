@@ -11,6 +11,7 @@ from typing import Any
 from vtrack_batch.config.example import example_yaml, schema_json
 from vtrack_batch.config.survey import Survey
 from vtrack_batch.errors import CannotCreate, ConfigError, NoArchive, VtrackError
+from vtrack_batch.model.zones import TEMPLATE_NAME
 from vtrack_batch.storage.output import make_folder
 
 ZONES_TEMPLATE = {
@@ -19,12 +20,12 @@ ZONES_TEMPLATE = {
     "features": [
         {
             "type": "Feature",
-            "properties": {"id": "north", "role": "gate", "name": "example: replace by your own", "junction": "main"},
+            "properties": {"id": "north", "role": "gate", "name": TEMPLATE_NAME, "junction": "main"},
             "geometry": {"type": "LineString", "coordinates": [[100.0, -20.0], [130.0, -20.0]]},
         },
         {
             "type": "Feature",
-            "properties": {"id": "south", "role": "gate", "name": "example: replace by your own", "junction": "main"},
+            "properties": {"id": "south", "role": "gate", "name": TEMPLATE_NAME, "junction": "main"},
             "geometry": {"type": "LineString", "coordinates": [[100.0, -200.0], [130.0, -200.0]]},
         },
     ],

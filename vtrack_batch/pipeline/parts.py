@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,7 +15,8 @@ from vtrack_batch.config.survey import Survey
 from vtrack_batch.errors import StorageError
 from vtrack_batch.model.homography import Array
 from vtrack_batch.model.tables import TABLES
-from vtrack_batch.pipeline.plan import Piece
+from vtrack_batch.pipeline.hand import Hand
+from vtrack_batch.pipeline.plan import FrameRef, Piece
 from vtrack_batch.storage.output import Output, Part
 from vtrack_batch.storage.parquet import read_table, write_table
 
@@ -26,6 +29,8 @@ class Context:
     archive: Path
     out: Path
     zones_text: str | None
+    hand: Hand | None = None
+    """Of a worker that may die: what it has in hand."""
 
     @property
     def output(self) -> Output:
@@ -38,6 +43,18 @@ class Context:
         if part is None:
             raise StorageError(f"{piece.step} {piece.name}: its result vanished during the run; run again")
         return part
+
+    @contextmanager
+    def new_part(self, piece: Piece, about: dict[str, Any]) -> Iterator[Path]:
+        """Give an empty folder to fill; on leaving it becomes the part of *piece*, and *about* what is known of it."""
+        about |= {"name": piece.name, "made_of": dict(piece.ingredients), "needs": [need.key for need in piece.needs]}
+        with self.output.new_part(piece.step, piece.key, about) as folder:
+            yield folder
+
+    def take(self, ref: FrameRef) -> None:
+        """Note that a frame is about to be read: should it be the end of this worker, it is known which it was."""
+        if self.hand is not None:
+            self.hand.take(ref.path)
 
 
 def read(parts: Iterable[Part], name: str) -> pd.DataFrame:

@@ -31,7 +31,7 @@ def draw_sequence(piece: Piece, context: Context) -> None:
     trajectories = read([whole], "trajectories")
     trajectories = trajectories.loc[trajectories["sequence"].astype(str) == piece.name]
     points, references = read([part], "track_points"), read([part], "references")
-    with context.output.new_part(piece.step, piece.key, {"name": piece.name}) as folder:
+    with context.new_part(piece, {}) as folder:
         if len(references):
             first = references.sort_values("reference_frame_id", ignore_index=True).iloc[:1]
             pixels = _pixels(refs[first["reference_frame_id"].iloc[0]], context)

@@ -6,12 +6,13 @@ step's algorithm version, and the keys of the pieces it builds on. A piece whose
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, overload
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from vtrack_batch.config.survey import Survey
 from vtrack_batch.errors import ConfigError
@@ -20,7 +21,7 @@ from vtrack_batch.storage.output import digest
 Step = Literal["detect", "track", "traffic", "picture"]
 STEPS: tuple[Step, ...] = ("detect", "track", "traffic", "picture")
 
-ALGORITHM: Mapping[Step, int] = {"detect": 1, "track": 1, "traffic": 1, "picture": 1}
+ALGORITHM: Mapping[Step, int] = {"detect": 2, "track": 2, "traffic": 1, "picture": 1}
 """Raised whenever a step may give other results from the same inputs and parameters."""
 
 SITE_CANDIDATES = 5
@@ -38,6 +39,34 @@ class FrameRef:
     """Hash of the world file beside it, if there is one."""
 
 
+class Refs(Sequence[FrameRef]):
+    """Frames of a plan by their place in its table, made when they are asked for; sent to a worker, they are all made.
+
+    A plan of years holds many; each is needed for a moment when its unit's key is made, and when its unit is due.
+    """
+
+    def __init__(self, table: pd.DataFrame, places: NDArray[np.int64]) -> None:
+        self._table, self._places = table, places
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __iter__(self) -> Iterator[FrameRef]:
+        return iter(refs_of(self._table.iloc[self._places]))
+
+    @overload
+    def __getitem__(self, at: int) -> FrameRef: ...
+    @overload
+    def __getitem__(self, at: slice) -> Sequence[FrameRef]: ...
+    def __getitem__(self, at: int | slice) -> FrameRef | Sequence[FrameRef]:
+        """Return one frame, or several."""
+        places = self._places[at]
+        return Refs(self._table, places) if isinstance(at, slice) else refs_of(self._table.iloc[int(places) :][:1])[0]
+
+    def __reduce__(self) -> tuple[type[tuple[FrameRef, ...]], tuple[tuple[FrameRef, ...]]]:
+        return tuple, (tuple(self),)
+
+
 @dataclass(frozen=True)
 class Unit:
     """A clock-aligned piece of a sequence: the smallest piece that is detected as a whole.
@@ -49,9 +78,9 @@ class Unit:
     sequence: str
     date: str
     start_s: float
-    frames: tuple[FrameRef, ...]
-    halo: tuple[FrameRef, ...]
-    site: tuple[FrameRef, ...]
+    frames: Sequence[FrameRef]
+    halo: Sequence[FrameRef]
+    site: Sequence[FrameRef]
 
     @property
     def name(self) -> str:
@@ -86,6 +115,32 @@ class Plan:
         """Return all pieces in an order in which each comes after what it needs."""
         return (*self.detect, *self.track, *self.traffic, *self.picture)
 
+    @property
+    def dates(self) -> tuple[str, ...]:
+        """Return the local dates of the plan."""
+        return tuple(piece.name for piece in self.traffic)
+
+    def restricted(self, dates: Collection[str]) -> Plan:
+        """Return the pieces of these local dates."""
+        return Plan(*(tuple(p for p in pieces if date_of(p) in dates) for pieces in self._steps()))
+
+    def without(self, due: Collection[Piece]) -> Plan:
+        """Return the dates of which no piece is *due*."""
+        return self.restricted(set(self.dates) - {date_of(piece) for piece in due})
+
+    def followers(self, pieces: Collection[Piece]) -> list[Piece]:
+        """Return *pieces* and all that builds on them, each after what it needs."""
+        keys = {piece.key for piece in pieces}
+        found = []
+        for piece in self.pieces():
+            if piece.key in keys or any(need.key in keys for need in piece.needs):
+                keys.add(piece.key)
+                found.append(piece)
+        return found
+
+    def _steps(self) -> tuple[tuple[Piece, ...], ...]:
+        return (self.detect, self.track, self.traffic, self.picture)
+
 
 def make_plan(frames: pd.DataFrame, survey: Survey, *, zones_text: str | None) -> Plan:
     """Return the plan of *survey* for the indexed *frames*."""
@@ -112,33 +167,30 @@ def make_plan(frames: pd.DataFrame, survey: Survey, *, zones_text: str | None) -
 def cut_units(frames: pd.DataFrame, *, unit_s: float, halo_s: float) -> list[Unit]:
     """Cut each sequence of *frames* at multiples of *unit_s* since the epoch; never by what happened to be there."""
     units: list[Unit] = []
-    for sequence, rows in frames.groupby("sequence", sort=True, observed=True):
-        refs = refs_of(rows)
-        seconds = np.array([ref.t_utc for ref in refs]).astype("int64") / 1e6
+    all_s = frames["t_utc"].dt.tz_localize(None).to_numpy("datetime64[us]").astype("int64") / 1e6
+    places_of = frames.groupby("sequence", sort=True, observed=True).indices
+    for sequence in sorted(places_of, key=str):
+        places = np.asarray(places_of[sequence], np.int64)
+        seconds = all_s[places]
         bucket = np.floor(seconds / unit_s).astype("int64")
-        for number in np.unique(bucket):
-            first, last = np.flatnonzero(bucket == number)[[0, -1]]
-            start_s = float(number) * unit_s
-            low = int(np.searchsorted(seconds, seconds[first] - halo_s, "left"))
-            high = int(np.searchsorted(seconds, seconds[last] + halo_s, "right"))
-            units.append(
-                Unit(
-                    str(sequence),
-                    str(rows["date"].iloc[0]),
-                    start_s,
-                    tuple(refs[first : last + 1]),
-                    tuple(refs[low:first] + refs[last + 1 : high]),
-                    tuple(refs[:SITE_CANDIDATES]),
-                )
-            )
+        numbers, firsts = np.unique(bucket, return_index=True)
+        lasts = np.append(firsts[1:], len(bucket)) - 1
+        lows = np.searchsorted(seconds, seconds[firsts] - halo_s, "left")
+        highs = np.searchsorted(seconds, seconds[lasts] + halo_s, "right")
+        site, date = Refs(frames, places[:SITE_CANDIDATES]), str(frames["date"].iloc[places[0]])
+        for number, first, last, low, high in zip(numbers, firsts, lasts, lows, highs, strict=True):
+            halo = np.concatenate([places[low:first], places[last + 1 : high]])
+            inside = Refs(frames, places[first : last + 1])
+            units.append(Unit(str(sequence), date, float(number) * unit_s, inside, Refs(frames, halo), site))
     return units
 
 
 def refs_of(rows: pd.DataFrame) -> list[FrameRef]:
     """Return the rows of the index as frame references, in their order."""
     times = rows["t_utc"].dt.tz_localize(None).to_numpy("datetime64[us]")
-    columns = (rows["frame_id"], rows["path"], times, rows["sha256"], rows["beside"])
-    return [FrameRef(*row) for row in zip(*columns, strict=True)]
+    texts = [rows[name].tolist() for name in ("frame_id", "path", "sha256", "beside")]
+    rows_of = zip(*texts[:2], times, *texts[2:], strict=True)
+    return [FrameRef(*row) for row in rows_of]
 
 
 def _named_site(frames: pd.DataFrame, path: str | None) -> FrameRef | None:
@@ -152,6 +204,11 @@ def _named_site(frames: pd.DataFrame, path: str | None) -> FrameRef | None:
             f"such as {frames['path'].iloc[0]!r}"
         )
     return found[0]
+
+
+def date_of(piece: Piece) -> str:
+    """Return the local date of *piece*."""
+    return _unit_of(piece).date
 
 
 def reason_due(piece: Piece, former: Mapping[str, str] | None) -> str:
@@ -194,7 +251,7 @@ def _piece(
 
 def _frames_hash(unit: Unit) -> str:
     groups = (unit.frames, unit.halo, unit.site)
-    return digest([[(ref.path, ref.sha256, ref.beside, str(ref.t_utc)) for ref in group] for group in groups])
+    return digest([[(ref.path, ref.sha256, ref.beside, ref.t_utc.astype(int)) for ref in group] for group in groups])
 
 
 def _settings(survey: Survey, step: Step, zones_text: str | None) -> dict[str, str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,10 +13,12 @@ import pandas as pd
 
 from vtrack_batch import __version__
 from vtrack_batch.archive.scan import OUT_OF_PERIOD
+from vtrack_batch.errors import StorageError
 from vtrack_batch.model.tables import TABLES
 from vtrack_batch.pipeline.index import Index
 from vtrack_batch.pipeline.parts import Context, read
-from vtrack_batch.pipeline.plan import Piece, Plan
+from vtrack_batch.pipeline.plan import STEPS, Piece, Plan, date_of
+from vtrack_batch.storage.durable import fsync
 from vtrack_batch.storage.output import Output, Part, described, digest
 from vtrack_batch.storage.parquet import write_table
 
@@ -25,6 +28,9 @@ OF_SEQUENCE = ("frames", "registrations", "references", "detections", "matches",
 OF_DATE = ("trajectories", "crossings", "od_pairs", "turns", "speeds", "flows", "stops", "coverage")
 
 
+REPORT_DATES = 31
+"""The report shows the newest dates only: of years, nobody reads all, and a page must stay readable."""
+
 Done = list[tuple[Piece, Part]]
 
 
@@ -32,6 +38,7 @@ Done = list[tuple[Piece, Part]]
 class Contents:
     """What a snapshot of finished parts holds: ``links`` place → (part, its file), and the rows of ``quarantine``."""
 
+    plan: Plan
     sequences: Done
     dates: Done
     pictures: Done
@@ -41,17 +48,26 @@ class Contents:
     @property
     def hashes(self) -> dict[str, dict[str, Any]]:
         """Place → {sha256, bytes, rows} of every linked file."""
-        return {place: dict(part.files[source]) for place, (part, source) in self.links.items()}
+        files = {id(part): part.files for part, _ in self.links.values()}
+        return {place: dict(files[id(part)][source]) for place, (part, source) in self.links.items()}
+
+    @property
+    def parts(self) -> dict[str, dict[str, str]]:
+        """Step → name of the piece → key of its part."""
+        by_step: dict[str, dict[str, str]] = {step: {} for step in STEPS}
+        for piece in self.plan.pieces():
+            by_step[piece.step][piece.name] = piece.key
+        return by_step
 
     @property
     def digest(self) -> str:
         """What tells two snapshots apart."""
-        return digest(self.hashes, self.quarantine.to_dict("records"))
+        return digest(self.hashes, self.parts, self.quarantine.to_dict("records"))
 
     def published_in(self, output: Output) -> bool:
         """Return whether the current snapshot of *output* is this one."""
         current = output.current_manifest()
-        return current is not None and current.get("content") == self.digest
+        return current is not None and current.get("content") == self.digest and not output.is_distrusted()
 
 
 def contents(plan: Plan, index: Index, context: Context) -> Contents:
@@ -60,24 +76,33 @@ def contents(plan: Plan, index: Index, context: Context) -> Contents:
     dates = [(piece, context.part(piece)) for piece in plan.traffic]
     pictures = [(piece, context.part(piece)) for piece in plan.picture]
     links = dict(_table_links(sequences, dates)) | dict(_picture_links(pictures)) | dict(_zone_links(dates))
-    quarantine = pd.concat([index.quarantine, read([part for _, part in sequences], "quarantine")], ignore_index=True)
-    return Contents(sequences, dates, pictures, links, quarantine.drop_duplicates("path"))
+    losing = [part for _, part in sequences if part.about["frames_lost"]]
+    quarantine = pd.concat([index.quarantine, read(losing, "quarantine")], ignore_index=True).drop_duplicates("path")
+    return Contents(plan, sequences, dates, pictures, links, quarantine)
 
 
 def publish(plan: Plan, index: Index, context: Context) -> tuple[Path, dict[str, Any]] | None:
-    """Publish the parts of *plan*; returns the snapshot and its manifest, or None if it would equal the current one."""
+    """Publish the parts of *plan*; returns the snapshot and its manifest, or None if it would equal the current one.
+
+    What is read, hashed and drawn grows with what a report shows, not with the archive; every file gets its name anew.
+    """
     output = context.output
     found = contents(plan, index, context)
     if found.published_in(output):
         return None
-    staged = output.state / "staging" / "quarantine.parquet"
-    write_table(staged, TABLES["quarantine"], found.quarantine)
+    staged = output.staging / "quarantine.parquet"
+    try:
+        write_table(staged, TABLES["quarantine"], found.quarantine)
+        fsync(staged)
+    except OSError as problem:
+        raise StorageError(f"{staged}: cannot be written ({problem}); the earlier results are intact") from None
     hashes = {**found.hashes, QUARANTINE: described(staged)}
     manifest = _manifest(context, index, found, hashes)
     files = {place: part.file(source) for place, (part, source) in found.links.items()}
     written = {"report/report.html": _page(manifest, found)}
     folder = output.publish({**files, QUARANTINE: staged}, written, manifest)
-    staged.unlink()
+    with suppress(OSError):  # published is published; what is left in staging is swept
+        staged.unlink()
     return folder, manifest
 
 
@@ -120,9 +145,10 @@ def _zone_links(dates: Done) -> Iterator[tuple[str, tuple[Part, str]]]:
 def _manifest(
     context: Context, index: Index, found: Contents, hashes: Mapping[str, Mapping[str, Any]]
 ) -> dict[str, Any]:
-    frames = read([part for _, part in found.sequences], "frames")
+    used = sum(part.about["frames_used"] for _, part in found.sequences)
+    lost = sum(part.about["frames_lost"] for _, part in found.sequences)
     crs = next((part.about["crs"] for _, part in found.sequences if part.about["crs"]), None)
-    lost = index.quarantine["reason"] != OUT_OF_PERIOD
+    set_aside = int((index.quarantine["reason"] != OUT_OF_PERIOD).sum())
     return {
         "survey": context.survey.survey.name,
         "version": __version__,
@@ -131,10 +157,8 @@ def _manifest(
         "time_zone": context.survey.survey.time_zone,
         "tables": {name: {"schema": f"{name}/{table.version}"} for name, table in TABLES.items()},
         "files": {place: dict(about) for place, about in sorted(hashes.items())},
-        "frames": {
-            "used": int((frames["status"] == "used").sum()),
-            "quarantined": int((frames["status"] != "used").sum() + lost.sum()),
-        },
+        "frames": {"used": used, "quarantined": lost + set_aside},
+        "parts": found.parts,
         "zones_proposed": any(part.about["proposed"] for _, part in found.dates),
         "inputs": {"frames": len(index.frames), "content": digest(sorted(index.frames["sha256"]))},
         "parameters": context.survey.model_dump(mode="json", exclude={"execution": {"workers"}}),
@@ -144,12 +168,13 @@ def _manifest(
 def _page(manifest: Mapping[str, Any], found: Contents) -> str:
     from vtrack_batch.report.summary import summary_page
 
-    parts = [part for _, part in found.dates]
+    shown = {piece.name for piece, _ in found.dates[-REPORT_DATES:]}
+    parts = [part for piece, part in found.dates if piece.name in shown]
     tables = {name: read(parts, name) for name in ("od_pairs", "turns", "speeds", "coverage", "stops")}
     images = {
         f"{piece.name} {name.removesuffix('.png')}": part.file(name).read_bytes()
         for piece, part in found.pictures
         for name in sorted(part.files)
-        if name.endswith(".png")
+        if name.endswith(".png") and date_of(piece) in shown
     }
     return summary_page(dict(manifest), {**tables, "quarantine": found.quarantine}, images)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -48,6 +49,8 @@ class Reader:
     root: Path
     max_pixels: int
     log: FrameLog
+    take: Callable[[FrameRef], None]
+    """Told of each frame before it is read."""
 
     def data(self, ref: FrameRef) -> bytes:
         """Return the bytes of the file."""
@@ -57,6 +60,7 @@ class Reader:
         """Return the pixels (H, W, 3), or None; *expected* = (width, height) that the frame must have."""
         if ref.frame_id in self.log.refused:
             return None
+        self.take(ref)
         try:
             data = self.data(ref)
             if content_hash(data) != ref.sha256:

@@ -26,7 +26,9 @@ def track_sequence(piece: Piece, context: Context) -> None:
     crs = one_crs(seen["references"]["crs"].dropna())
     views = make_views(piece.name, seen)
     tracks = _track(seen["detections"], views, context, crs)
-    with context.output.new_part(piece.step, piece.key, {"name": piece.name, "crs": crs}) as folder:
+    used = int((seen["frames"]["status"].astype(str) == "used").sum())
+    about = {"crs": crs, "frames_used": used, "frames_lost": len(seen["frames"]) - used}
+    with context.new_part(piece, about) as folder:
         made = {
             "matches": tracks.matches,
             "track_points": tracks.track_points,

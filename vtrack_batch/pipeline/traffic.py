@@ -25,9 +25,7 @@ def measure_date(piece: Piece, context: Context) -> None:
         zones = propose_zones(trajectories, track_points, views, params=survey.traffic)
     tables = measure(trajectories, track_points, zones, views, time_zone=survey.survey.time_zone, params=survey.traffic)
     proposed = context.zones_text is None
-    with context.output.new_part(
-        piece.step, piece.key, {"name": piece.name, "crs": crs, "proposed": proposed}
-    ) as folder:
+    with context.new_part(piece, {"crs": crs, "proposed": proposed}) as folder:
         write(folder, tables, crs)
         text = json.dumps(zones_to_geojson(zones, crs), indent=1, sort_keys=True, ensure_ascii=False)
         (folder / "zones.geojson").write_text(text + "\n", encoding="utf-8")

@@ -33,19 +33,44 @@ def polished(
     inward = np.array([[span, 0, middle[0]], [0, span, middle[1]], [0, 0, 1]])
     local, h = np.ascontiguousarray((source - middle) / span), homography.normalised(matrix @ inward)
     target = np.ascontiguousarray(target)
+    better = _polish(np.ascontiguousarray(h), local, target, freedoms, tolerance_px)
+    return np.asarray(better @ np.linalg.inv(inward)) if np.isfinite(better).all() else matrix
+
+
+@njit(cache=True, nogil=True)
+def _polish(h, source, target, freedoms, tolerance_px):  # type: ignore[no-untyped-def]
+    """Return the matrix after all rounds; all NaN where too few points are close."""
+    found = h.copy()
     for _ in range(_ROUNDS):
-        length = np.linalg.norm(homography.apply(h, local) - target, axis=1)
-        close = length[length <= 2 * tolerance_px]
+        close = _lengths(found, source, target)
+        close = np.sort(close[close <= 2 * tolerance_px])
         if len(close) < _FEWEST_POINTS:
-            return matrix
-        reach = _REACH_OF_MEDIAN * max(float(np.median(close)), _SMALLEST_MEDIAN_PX)
+            return np.full((3, 3), np.nan)
+        median = (close[(len(close) - 1) // 2] + close[len(close) // 2]) / 2
+        reach = _REACH_OF_MEDIAN * max(median, _SMALLEST_MEDIAN_PX)
         for _ in range(_STEPS):
             normal, right = np.zeros((freedoms, freedoms)), np.zeros(freedoms)
-            _accumulate(h, local, target, reach, normal, right)
-            # A trace of damping keeps points on one line from making the step boundless.
-            normal[np.diag_indices(freedoms)] += 1e-9 * (1 + normal.diagonal())
-            h.ravel()[:freedoms] += np.linalg.solve(normal, right)
-    return np.asarray(h @ np.linalg.inv(inward)) if np.isfinite(h).all() else matrix
+            _accumulate(found, source, target, reach, normal, right)
+            for i in range(freedoms):
+                # A trace of damping keeps points on one line from making the step boundless.
+                normal[i, i] += 1e-9 * (1 + normal[i, i])
+            step = np.linalg.solve(normal, right)
+            for i in range(freedoms):
+                found[i // 3, i % 3] += step[i]
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _lengths(h, source, target):  # type: ignore[no-untyped-def]
+    """Return how far (n,) the images of *source* lie from *target*."""
+    lengths = np.empty(len(source))
+    for k in range(len(source)):
+        x, y = source[k, 0], source[k, 1]
+        depth = h[2, 0] * x + h[2, 1] * y + h[2, 2]
+        across = target[k, 0] - (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / depth
+        down = target[k, 1] - (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / depth
+        lengths[k] = np.sqrt(across * across + down * down)
+    return lengths
 
 
 @njit(cache=True, nogil=True)

@@ -80,7 +80,12 @@ def distances(matrix: NDArray[np.float64], source: Points, target: Points) -> ND
 
 def robust_rms(lengths: NDArray[np.float64]) -> float:
     """Return the root mean square of Gaussian errors as told from the smallest *lengths* (n,); inf for none."""
-    return float(np.quantile(lengths, _TRUSTED_SHARE)) * _QUANTILE_TO_RMS if len(lengths) else float("inf")
+    if not len(lengths):
+        return float("inf")
+    at = _TRUSTED_SHARE * (len(lengths) - 1)
+    ordered, low = np.sort(lengths), int(at)
+    quantile = ordered[low] + (at - low) * (ordered[min(low + 1, len(ordered) - 1)] - ordered[low])
+    return float(quantile) * _QUANTILE_TO_RMS
 
 
 def _usac(consensus: Consensus) -> cv2.UsacParams:

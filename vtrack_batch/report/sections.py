@@ -35,7 +35,10 @@ def warnings(manifest: Mapping[str, Any], tables: Mapping[str, pd.DataFrame]) ->
     if coverage is not None and len(coverage):
         partial = float((coverage["observed_s"] < 0.95 * coverage["bin_s"]).mean())
         if partial > 0.2:
-            texts.append(f"{partial:.0%} of all places and time bins were in view for part of the time or not at all.")
+            texts.append(
+                f"{partial:.0%} of all places and time bins were in view for part of the time or not at all; "
+                "vehicles an hour are scaled up from the time in view."
+            )
     if not texts:
         return ""
     return '<div class="warnings"><ul>' + "".join(f"<li>{escape(text)}</li>" for text in texts) + "</ul></div>"
@@ -91,16 +94,17 @@ def turns(table: pd.DataFrame | None) -> str:
     keys = ["junction", "approach", "movement"]
     counted = _all_classes(table).astype(dict.fromkeys(keys, str))
     sums = counted.groupby(keys, sort=True)[["count", "observed_s"]].sum(min_count=1).reset_index()
-    per_approach = sums.groupby(["junction", "approach"])["count"].transform("sum")
+    known = sums["count"].where(sums["movement"] != "unknown")
+    per_approach = known.groupby([sums["junction"], sums["approach"]]).transform("sum")
     rate_vph = 3600 * sums["count"] / sums["observed_s"].where(sums["observed_s"] > 0)
     rows = zip(
         *(sums[key] for key in keys),
         sums["count"].map(_whole),
-        (sums["count"] / per_approach.where(per_approach > 0)).map(_percent),
+        (known / per_approach.where(per_approach > 0)).map(_percent),
         rate_vph.map(_whole),
         strict=True,
     )
-    return "<h2>Turns</h2>" + html_table((*keys, "vehicles", "share of approach", "veh/h"), rows)
+    return "<h2>Turns</h2>" + html_table((*keys, "vehicles", "share of known turns", "veh/h"), rows)
 
 
 def speeds(table: pd.DataFrame | None) -> str:

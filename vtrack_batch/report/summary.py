@@ -79,10 +79,17 @@ def _subtitle(manifest: Mapping[str, Any], tables: Mapping[str, pd.DataFrame], z
                 .max()
                 .tz_convert(zone)
             )
-            texts.append(f"{start:%Y-%m-%d %H:%M} to {last:%Y-%m-%d %H:%M} ({zone})")
+            longest_s = float(seen.groupby("place", observed=True)["observed_s"].sum().max())
+            texts.append(f"{start:%Y-%m-%d %H:%M} to {last:%Y-%m-%d %H:%M} ({zone}), {_duration(longest_s)} observed")
     texts.append(f"coordinates: {manifest['crs']}" if manifest.get("crs") else "coordinates: local metres")
     texts.append(f"vtrack-batch {manifest.get('version', '')}".strip())
     return escape(" · ".join(texts))
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.1f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
 
 
 def _figures(pictures: Mapping[str, bytes]) -> str:

@@ -85,6 +85,7 @@ def trajectory_map(
     axes.set(xlim=(view.left, view.right), ylim=(view.bottom, view.top))
     fastest_kmh = _draw_lines(axes, points, view)
     _draw_zones(axes, zones, to_reference, view)
+    _draw_graticule(axes, reference_to_ground, view)
     _draw_scale_and_north(axes, reference_to_ground, view)
     _draw_colour_bar(figure, fastest_kmh, box, total[0])
     _draw_title(figure, title, trajectories, shown, total)
@@ -208,6 +209,37 @@ def _label_place(seen: shapely.Geometry) -> shapely.Point:
     return piece.interpolate(0.5, normalized=True) if piece.geom_type == "LineString" else piece.representative_point()
 
 
+def _draw_graticule(axes: Axes, reference_to_ground: NDArray[np.float64], view: _View) -> None:
+    """Draw thin lines of equal x_m and y_m with their values, so that a reader can write down where a zone lies."""
+    window = shapely.box(view.left, view.top, view.right, view.bottom)
+    ground = homography.apply(reference_to_ground, shapely.get_coordinates(window))
+    low, high = ground.min(axis=0), ground.max(axis=0)
+    if not np.isfinite(ground).all():
+        return
+    to_reference = np.asarray(np.linalg.inv(reference_to_ground), np.float64)
+    font: dict[str, Any] = {"color": "white", "alpha": 0.9, "fontsize": _font(7.5, view.size_px[0]), "zorder": 6}
+    step_m = _round_down(float((high - low).max()) / 6)
+    for axis, name in enumerate(("x", "y")):
+        for value in np.arange(np.ceil(low[axis] / step_m), np.floor(high[axis] / step_m) + 1) * step_m:
+            ends = np.array([low, high])
+            ends[:, axis] = value
+            line = shapely.LineString(homography.apply(to_reference, ends)).intersection(window)
+            if line.geom_type != "LineString" or line.is_empty:
+                continue
+            (left, top), (right, bottom) = line.coords[0], line.coords[-1]
+            axes.plot([left, right], [top, bottom], color="white", linewidth=0.6, alpha=0.35, zorder=2)
+            # the label stands where the line enters: x along the upper border, y along the left one
+            at = min(line.coords, key=lambda point: point[1 - axis])
+            if axis == 0 or at[1] > view.top + 40 / view.scale:
+                axes.text(at[0], at[1], f" {name} {value:.0f} m", va="top" if axis == 0 else "bottom", **font)
+
+
+def _round_down(value: float) -> float:
+    """Return the largest of 1, 2, 5, 10, 20, 50 ... and their tenths that is not above *value*."""
+    power = float(10.0 ** np.floor(np.log10(value)))
+    return power * max(step for step in (1, 2, 5) if step * power <= value)
+
+
 def _draw_scale_and_north(axes: Axes, reference_to_ground: NDArray[np.float64], view: _View) -> None:
     """Draw a bar of round length at the lower left and an arrow to grid north at the upper right."""
     width, height = view.right - view.left, view.bottom - view.top
@@ -215,9 +247,7 @@ def _draw_scale_and_north(axes: Axes, reference_to_ground: NDArray[np.float64], 
     col, row = view.left + 24 * unit, view.bottom - 26 * unit
     forward = homography.jacobian(reference_to_ground, np.array([[col, row]]))[0]
     metre_px = 1 / max(float(np.hypot(*forward[:, 0])), 1e-12)
-    wanted_m = 0.2 * min(width, 1.6 * height) / metre_px
-    power = 10.0 ** np.floor(np.log10(wanted_m))
-    length_m = power * max(step for step in (1, 2, 5) if step * power <= wanted_m)
+    length_m = _round_down(0.2 * min(width, 1.6 * height) / metre_px)
     axes.plot([col, col + length_m * metre_px], [row, row], color="white", linewidth=4, zorder=6, path_effects=_OUTLINE)
     text: dict[str, Any] = {
         "color": "white",

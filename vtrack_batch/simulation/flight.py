@@ -1,4 +1,4 @@
-"""The platform: how each frame lies to the first one, and how light and exposure wander."""
+"""The platform: how each frame lies to the first one, from where it is taken, how light and exposure wander."""
 
 from __future__ import annotations
 
@@ -7,30 +7,34 @@ from dataclasses import dataclass
 import numpy as np
 
 from vtrack_batch.model.homography import Array, normalised
-from vtrack_batch.simulation.params import Scenario
+from vtrack_batch.simulation.view import FLIGHT_SEED, View
 
 _PERIODS_S = (47.0, 83.0, 151.0)
-"""Periods of the slow wander of drift, turn and exposure."""
+"""Periods of the slow wander of drift, turn, travel and exposure."""
 
 
 @dataclass(frozen=True)
 class Flight:
-    """Per frame: ``poses`` (n, 3, 3) reference to frame, ``exposure`` (n,) gain, ``cloud_m`` (n, 2) drift of shade."""
+    """Per frame: ``poses`` (n, 3, 3) reference to frame, ``exposure`` (n,) gain, ``cloud_m`` (n, 2) drift of shade.
+
+    ``nadir_m`` (n, 2) is where the platform stands above the ground, from the middle of the view.
+    """
 
     poses: Array
     exposure: Array
     cloud_m: Array
+    nadir_m: Array
 
 
-def fly(scenario: Scenario, *, size_px: tuple[int, int], rigid: bool, rng: np.random.Generator) -> Flight:
+def fly(view: View, *, size_px: tuple[int, int], rigid: bool) -> Flight:
     """Draw the flight; *rigid* allows translations only, so that a frame's geotransform can say them exactly."""
-    t = np.arange(scenario.frame_count, dtype=np.float64) * scenario.interval_s
-    turn = np.zeros(len(t)) if rigid else np.deg2rad(scenario.rotation_deg) * _wander(t, rng)
-    drift = scenario.drift_px * np.stack([_wander(t, rng), _wander(t, rng)], axis=1)
-    shift = drift + scenario.jitter_px * rng.standard_normal((len(t), 2))
-    tilt = 0.0 if rigid else scenario.perspective_per_px
+    camera, t, rng = view.camera, view.t_s, view.rng(FLIGHT_SEED)
+    turn = np.zeros(len(t)) if rigid else np.deg2rad(camera.rotation_deg) * _wander(t, rng)
+    drift = camera.drift_px * np.stack([_wander(t, rng), _wander(t, rng)], axis=1)
+    shift = drift + camera.jitter_px * rng.standard_normal((len(t), 2))
+    tilt = 0.0 if rigid else camera.perspective_per_px
     perspective = tilt * np.stack([_wander(t, rng), _wander(t, rng)], axis=1)
-    scale = 1.0 + (0.0 if rigid else 0.004) * _wander(t, rng)
+    scale = 1.0 + (0.0 if rigid else camera.scale_drift) * _wander(t, rng)
     width, height = size_px
     centre = np.array([[1, 0, (width - 1) / 2], [0, 1, (height - 1) / 2], [0, 0, 1.0]])
     poses = []
@@ -41,9 +45,11 @@ def fly(scenario: Scenario, *, size_px: tuple[int, int], rigid: bool, rng: np.ra
     first = np.linalg.inv(poses[0])
     relative = np.stack([normalised(pose @ first) for pose in poses])
     relative[0] = np.eye(3)
-    exposure = 1.0 + scenario.exposure_drift * _wander(t, rng) + 0.004 * rng.standard_normal(len(t))
+    drifts = view.light.exposure_drift
+    exposure = 1.0 + drifts * _wander(t, rng) + 0.004 * rng.standard_normal(len(t))
     wind = rng.uniform(2, 5) * np.array([np.cos(a := rng.uniform(0, 2 * np.pi)), np.sin(a)])
-    return Flight(relative, exposure if scenario.exposure_drift else np.ones(len(t)), t[:, None] * wind)
+    nadir = camera.travel_m * np.stack([_wander(t, rng), _wander(t, rng)], axis=1)
+    return Flight(relative, exposure if drifts else np.ones(len(t)), t[:, None] * wind, nadir)
 
 
 def _wander(t: Array, rng: np.random.Generator) -> Array:

@@ -15,6 +15,9 @@ SUB = 5
 SHADOW_RATIO = np.array([0.46, 0.48, 0.52])
 """What is left of the ground's red, green and blue in shadow: the sky still lights it, a little bluish."""
 
+TRAM, PERSON = 4, 5
+"""Kinds of body beside those of the fleet."""
+
 _COL, _ROW, _A11, _A12, _A21, _A22, _L, _W, _DU, _DV, _KIND, _R, _BODY_R, _GLASS, _SUN_U, _SUN_V, _LIGHT = (
     0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 14, 17, 18, 19, 20,
 )  # fmt: skip
@@ -60,6 +63,23 @@ def dimmed(table: Array, light: Array) -> Array:
     table = table.copy()
     table[:, _LIGHT] = light
     return table
+
+
+def moved_up(table: Array, rows: float) -> Array:
+    """Return the painter's *table* for an image that begins *rows* lower."""
+    table = table.copy()
+    table[:, _ROW] -= rows
+    return table
+
+
+def body_points(table: Array, across: int = 9, aside: int = 5) -> Array:
+    """Return pixels (n, k, 2) all over each body of the painter's *table*: its centre first, a corner last."""
+    u, v = np.meshgrid(np.linspace(-0.47, 0.47, across), np.linspace(-0.45, 0.45, aside))
+    along = table[:, _L, None] * np.append(0.0, u)
+    side = table[:, _W, None] * np.append(0.0, v)
+    col = table[:, _COL, None] + table[:, _A11, None] * along + table[:, _A12, None] * side
+    row = table[:, _ROW, None] + table[:, _A21, None] * along + table[:, _A22, None] * side
+    return np.stack([col, row], axis=2)
 
 
 def brightened(table: Array, gain: Array) -> Array:
@@ -180,6 +200,8 @@ def _inverse(sprite):  # type: ignore[no-untyped-def]
 def _in_body(u, v, sprite):  # type: ignore[no-untyped-def]
     """Return whether (u, v), metres forward and left of the centre, lies in the rounded rectangle of the body."""
     radius = 0.55 if sprite[_KIND] < 1.5 else 0.2
+    if sprite[_KIND] == PERSON:
+        radius = sprite[_L] / 2
     du = abs(u) - sprite[_L] / 2 + radius
     dv = abs(v) - sprite[_W] / 2 + radius
     if du > 0.0 and dv > 0.0:
@@ -211,6 +233,14 @@ def body_colour(u, v, sprite, out):  # type: ignore[no-untyped-def]
         elif f < 0.79:
             gain = 0.3
         glass = 0.945 < f < 0.985 and g < 0.9
+    elif kind == TRAM:
+        # roof equipment on the middle of each section, bellows at its ends
+        gain = 0.72 if (0.2 < f < 0.42 or 0.55 < f < 0.8) and g < 0.6 else 1.0
+        if f < 0.04 or f > 0.96:
+            gain = 0.35
+    elif kind == PERSON:
+        # a dark head over the shoulders
+        gain = 0.45 if (f - 0.5) ** 2 + (side / 2) ** 2 < 0.07 else 1.0
     else:
         glass = f > 0.965 and g < 0.9
         gain = 0.75 if (0.24 < f < 0.30 or 0.64 < f < 0.70) and g < 0.45 else 1.02

@@ -1,68 +1,107 @@
-"""What a simulated survey is: scene, traffic, platform, light and camera."""
+"""What a simulated survey is: where, when, how long, how often; its traffic, its detector and its pictures."""
 
 from __future__ import annotations
 
 from datetime import UTC, datetime
 from typing import Literal
 
-from pydantic import AwareDatetime, Field
+from pydantic import AwareDatetime, Field, model_validator
 
 from vtrack_batch.model.params import Params
+from vtrack_batch.simulation.view_params import CameraParams, GroundParams, LightParams
+
+SceneName = Literal["road", "congested", "crossing", "roundabout", "motorway", "grid", "city", "street"]
+
+
+class DemandParams(Params):
+    """Who drives on a built-in scene, or on the user's own network where no routes are given."""
+
+    demand_vph: float | None = Field(
+        None, ge=0, le=20000, description="Vehicles per hour that come in by each road; null = as the scene needs."
+    )
+    left_share: float = Field(0.147, ge=0, le=0.5, description="Share that turns left at the crossing.")
+    right_share: float = Field(0.160, ge=0, le=0.5, description="Share that turns right at the crossing.")
+    van_share: float = Field(0.08, ge=0, le=0.3, description="Share of vans in the fleet.")
+    lorry_share: float = Field(0.08, ge=0, le=0.3, description="Share of lorries in the fleet.")
+    bus_share: float = Field(0.02, ge=0, le=0.3, description="Share of buses in the fleet.")
+    speed_limit_mps: float | None = Field(
+        None, gt=1, le=60, description="Speed limit of the built-in scenes' roads; null = the scene's own."
+    )
+    speed_spread: float = Field(
+        0.15, ge=0, le=0.5, description="Standard deviation of the drivers' wished speed, as a share of the limit."
+    )
+    sigma: float = Field(0.5, ge=0, le=1, description="SUMO's driver imperfection: how unsteadily a speed is kept.")
+    green_through_s: float = Field(20.0, ge=5, description="Crossing: green of two opposite through streams.")
+    green_left_s: float = Field(7.0, ge=3, description="Crossing: green of two opposite left-turning streams.")
+    amber_s: float = Field(3.0, ge=1, description="Crossing: amber after each green.")
+    all_red_s: float = Field(1.0, ge=0, description="Crossing: red for all after each amber.")
+    lane_change_s: float = Field(3.0, ge=0, le=10, description="Time that a change of lane takes.")
+
+
+class DetectorParams(Params):
+    """How far the detections of the archive stay behind the truth, as those of a detector would."""
+
+    position_sigma_m: float = Field(0.33, ge=0, le=5, description="Standard deviation of the place per axis.")
+    size_sigma: float = Field(0.06, ge=0, le=0.5, description="Standard deviation of length and width, as a share.")
+    heading_sigma_deg: float = Field(4.0, ge=0, le=45, description="Standard deviation of the heading.")
+    gain_sigma: float = Field(0.04, ge=0, le=0.5, description="Spread of a sighting's brightness, as a share.")
+    common_sigma_dn: float = Field(3.0, ge=0, le=60, description="Noise that red, green and blue share, of 255.")
+    channel_sigma_dn: float = Field(3.0, ge=0, le=60, description="Noise of each channel, of 255.")
+    shadow_share: float = Field(0.02, ge=0, le=1, description="Share of sightings in shadow.")
+    shadow_factor: float = Field(0.65, gt=0, le=1, description="What shadow leaves of the brightness.")
+    missed: float = Field(0.10, ge=0, le=0.9, description="Share of vehicles missed in a frame.")
+    missed_clustered: float = Field(
+        0.3, ge=0, le=1, description="Share of the misses that come in clusters: near in place and in time."
+    )
+    cluster_m: float = Field(20.0, gt=0, le=500, description="Size of the places where misses cluster.")
+    cluster_s: float = Field(6.0, gt=0, le=600, description="How long misses cluster at one place.")
+    false_per_frame: float = Field(0.5, ge=0, le=1000, description="False alarms in a frame, on average.")
+    merge_m: float = Field(
+        2.0, ge=0, le=20, description="Vehicles whose centres are closer than this become one detection; 0 = none."
+    )
 
 
 class Scenario(Params):
     """A whole simulated archive; the defaults are the demonstration: 140 frames of a busy signalised crossing."""
 
-    scene: Literal["crossing", "street"] = Field(
-        "crossing", description="crossing = four arms with signals and turns; street = one straight two-way road."
+    scene: SceneName = Field(
+        "crossing",
+        description="road = one-way, two lanes; congested = the same behind a slow exit; crossing = four arms with "
+        "signals and turns; roundabout; motorway = ramps and a jam; grid = 5 x 5 signals, about 300 vehicles; city = "
+        "22 x 22, about 8,000; street = one two-way road, laid onto an orthophoto if there is one.",
     )
-    seed: int = Field(20260517, ge=0, description="Everything random comes from this number.")
+    network: str | None = Field(None, description="SUMO network (.net.xml) to use in place of a built-in scene.")
+    routes: str | None = Field(
+        None, description="SUMO routes (.rou.xml) to drive on that network; null = from every road end to every other."
+    )
+    centre_m: tuple[float, float] | None = Field(
+        None, description="Point (x, y) of the network in the middle of the view; null = the middle of its junctions."
+    )
+    seed: int = Field(20260517, ge=0, lt=2**31, description="Everything random comes from this number.")
     start: AwareDatetime = Field(datetime(2026, 5, 17, 6, tzinfo=UTC), description="Time of the first frame.")
     time_zone: str = Field("Europe/Berlin", min_length=1, description="IANA zone written into the survey file.")
     duration_s: float = Field(210.0, gt=0, description="Length of the archive.")
-    interval_s: float = Field(1.5, ge=0.02, le=60, description="Time between frames.")
-    frames: bool = Field(True, description="Whether to render the frames; false writes the truth alone.")
-
-    width_px: int = Field(1920, ge=64, le=20000, description="Width of the frames; an orthophoto sets its own.")
-    height_px: int = Field(1080, ge=64, le=20000, description="Height of the frames; an orthophoto sets its own.")
-    gsd_m: float = Field(0.33, gt=0.02, lt=2, description="Ground sampling distance; an orthophoto sets its own.")
-    azimuth_deg: float = Field(6.0, ge=-45, le=45, description="Turn of the whole scene, clockwise against the frame.")
-    orthophoto: str | None = Field(
-        None, description="GeoTIFF in a projected CRS that serves as the ground; frames are then written as GeoTIFF."
-    )
-    street_px: tuple[tuple[float, float], tuple[float, float]] | None = Field(
-        None, description="Ends (col, row) of the street's axis in the reference frame; null = across the middle."
-    )
-
-    demand_vph: float = Field(850.0, ge=0, le=4000, description="Vehicles per hour that come in by each arm.")
-    left_share: float = Field(0.147, ge=0, le=0.5, description="Share of the vehicles that turn left.")
-    right_share: float = Field(0.160, ge=0, le=0.5, description="Share of the vehicles that turn right.")
-    speed_limit_mps: float = Field(15.3, gt=1, le=50, description="Speed that drivers keep to, give or take.")
-    green_through_s: float = Field(20.0, gt=0, description="Green of the two opposite through and right streams.")
-    green_left_s: float = Field(7.0, gt=0, description="Green of the two opposite left-turning streams.")
-    amber_s: float = Field(3.0, gt=0, description="Amber after each green.")
-    all_red_s: float = Field(1.0, ge=0, description="Red for all after each amber; green waits until the box is clear.")
     warm_up_s: float = Field(240.0, ge=0, description="Traffic simulated before the first frame.")
-    parked: int = Field(70, ge=0, le=2000, description="Parked cars beside the roads and on lots.")
+    interval_s: float = Field(1.5, ge=0.02, le=60, description="Time between frames.")
+    frames: bool = Field(True, description="Whether to render the frames; false writes truth and detections alone.")
+    traffic: DemandParams = Field(DemandParams(), description="Who drives, and how.")
+    detector: DetectorParams = Field(DetectorParams(), description="Noise of detections.parquet.")
+    camera: CameraParams = Field(CameraParams(), description="Frames and platform.")
+    ground: GroundParams = Field(GroundParams(), description="What lies and stands below.")
+    light: LightParams = Field(LightParams(), description="Sun, clouds and exposure.")
 
-    drift_px: float = Field(24.0, ge=0, le=500, description="Amplitude of the platform's slow drift.")
-    jitter_px: float = Field(1.2, ge=0, le=50, description="Standard deviation of the frame-to-frame jitter per axis.")
-    rotation_deg: float = Field(0.6, ge=0, le=20, description="Amplitude of the slow rotation; none on an orthophoto.")
-    perspective_per_px: float = Field(
-        3e-7, ge=0, le=1e-4, description="Amplitude of the perspective terms; none on an orthophoto."
-    )
-
-    shadow: bool = Field(True, description="Whether things cast shadows.")
-    sun_azimuth_deg: float = Field(140.0, ge=0, le=360, description="Where the sun stands, clockwise from grid north.")
-    sun_elevation_deg: float = Field(45.0, ge=10, le=90, description="Height of the sun above the horizon.")
-    exposure_drift: float = Field(0.06, ge=0, le=0.5, description="Amplitude of the exposure's drift, as a share.")
-    cloud: float = Field(0.07, ge=0, le=0.5, description="Spread of the drifting soft cloud shade, as a share.")
-    blur_px: float = Field(0.5, ge=0, le=3, description="Standard deviation of the camera's point spread.")
-    noise_dn: float = Field(2.5, ge=0, le=30, description="Standard deviation of the sensor's noise, of 255.")
-    appearance_gain: float = Field(0.03, ge=0, le=0.3, description="Spread of brightness between sightings.")
-    jpeg_quality: int = Field(90, ge=30, le=100, description="Quality of the JPEG frames.")
+    @model_validator(mode="after")
+    def _fits(self) -> Scenario:
+        if self.network is None and (self.routes is not None or self.centre_m is not None):
+            raise ValueError("routes and centre_m belong to a network of your own: name it as `network`")
+        return self
 
     @property
     def frame_count(self) -> int:
         """Number of frames in the archive, at least one."""
         return max(1, int(self.duration_s / self.interval_s + 1e-9))
+
+    @property
+    def name(self) -> str:
+        """Name of the scene, as it stands in file names."""
+        return self.scene if self.network is None else "network"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vtrack_batch.model.homography import Array, apply, jacobian
-from vtrack_batch.simulation.params import Scenario
+from vtrack_batch.simulation.view_params import CameraParams, PointPx
 
 
 @dataclass(frozen=True)
@@ -34,37 +34,67 @@ class Stage:
         """Ground sampling distance along the rows."""
         return float(np.hypot(self.reference_to_ground[0, 0], self.reference_to_ground[1, 0]))
 
+    @property
+    def centre_m(self) -> Array:
+        """Ground point (2,) in the middle of the reference frame."""
+        middle = np.array([[(self.width_px - 1) / 2, (self.height_px - 1) / 2]])
+        return apply(self.reference_to_ground, middle)[0]
+
     def scene_to_frame(self, pose: Array) -> Array:
         """Return the homography from scene metres to the pixels of the frame with *pose* (reference to frame)."""
         return np.asarray(pose @ self.ground_to_reference @ self.scene_to_ground)
 
 
-def local_stage(scenario: Scenario) -> Stage:
-    """Return the stage of frames without a CRS: x right, y up, origin at the first frame's top-left corner."""
-    gsd = scenario.gsd_m
+def local_stage(camera: CameraParams, *, middle_m: PointPx = (0.0, 0.0)) -> Stage:
+    """Return the stage of frames without a CRS: x right, y up, origin at the first frame's top-left corner.
+
+    The scene's point *middle_m* lies in the middle of the frame, its x axis turned by the camera's azimuth.
+    """
+    gsd = camera.gsd_m
     to_ground = np.array([[gsd, 0, gsd / 2], [0, -gsd, -gsd / 2], [0, 0, 1]])
-    return _with_scene(scenario, (scenario.width_px, scenario.height_px), to_ground, None)
+    size = (camera.width_px, camera.height_px)
+    return Stage(*size, to_ground, _scene(camera, size, to_ground, middle_m, None), None)
 
 
-def mapped_stage(scenario: Scenario, *, size_px: tuple[int, int], reference_to_ground: Array, crs: str) -> Stage:
-    """Return the stage of frames of *size_px* (width, height) cut out of an orthophoto in a projected *crs*."""
-    return _with_scene(scenario, size_px, reference_to_ground, crs)
+def mapped_stage(
+    camera: CameraParams,
+    *,
+    size_px: tuple[int, int],
+    reference_to_ground: Array,
+    crs: str | None,
+    middle_m: PointPx = (0.0, 0.0),
+    axis_px: tuple[PointPx, PointPx] | None = None,
+) -> Stage:
+    """Return the stage of frames of *size_px* (width, height) that lie on a given ground.
+
+    The scene's x axis is laid from the first of the pixels *axis_px* to the second, its *middle_m* half-way; without
+    them it lies as on a :func:`local_stage`.
+    """
+    scene = _scene(camera, size_px, reference_to_ground, middle_m, axis_px)
+    return Stage(*size_px, reference_to_ground, scene, crs)
 
 
-def _with_scene(scenario: Scenario, size_px: tuple[int, int], to_ground: Array, crs: str | None) -> Stage:
-    """Put the middle of the scene into the middle of the frame, or the street onto its two ends."""
+def _scene(
+    camera: CameraParams,
+    size_px: tuple[int, int],
+    to_ground: Array,
+    middle_m: PointPx,
+    axis_px: tuple[PointPx, PointPx] | None,
+) -> Array:
     width, height = size_px
     middle = np.array([[(width - 1) / 2, (height - 1) / 2]])
-    angle = -np.deg2rad(scenario.azimuth_deg)
-    if scenario.scene == "street" and scenario.street_px is not None:
-        ends = np.array(scenario.street_px, float)
+    angle = -np.deg2rad(camera.azimuth_deg)
+    if axis_px is not None:
+        ends = np.array(axis_px, float)
         middle = ends.mean(axis=0, keepdims=True)
         along = (apply(to_ground, ends[1:]) - apply(to_ground, ends[:1]))[0]
         angle = float(np.arctan2(along[1], along[0]))
     centre = apply(to_ground, middle)[0]
     c, s = np.cos(angle), np.sin(angle)
-    scene = np.array([[c, -s, centre[0]], [s, c, centre[1]], [0, 0, 1]])
-    return Stage(width, height, to_ground, scene, crs)
+    turned = np.array([[c, -s], [s, c]])
+    scene = np.eye(3)
+    scene[:2, :2], scene[:2, 2] = turned, centre - turned @ np.asarray(middle_m, float)
+    return scene
 
 
 def directions(h: Array, at: Array, vectors: Array) -> Array:

@@ -1,4 +1,4 @@
-"""What stands beside the roads: land, buildings, trees and car parks, and the shadows that they cast."""
+"""Where things stand beside the roads: buildings, car parks, trees, bridges, none in another's way."""
 
 from __future__ import annotations
 
@@ -6,196 +6,274 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from vtrack_batch.model.homography import Array
-from vtrack_batch.simulation.canvas import Canvas, Float32, multiscale, rectangle
-from vtrack_batch.simulation.paint import Sun
-from vtrack_batch.simulation.roads import Layout
+from vtrack_batch.model.homography import Array, apply
+from vtrack_batch.simulation import polyline
+from vtrack_batch.simulation.canvas import Canvas, oblong
+from vtrack_batch.simulation.roads import BAY_M, PAVEMENT_M, Layout
+from vtrack_batch.simulation.view_params import GroundParams
 
-_ROOFS = np.array(
-    [(168, 96, 74), (150, 84, 70), (176, 120, 92), (128, 98, 84), (92, 90, 94), (138, 138, 142), (196, 198, 194)],
-    float,
-)
-_LOT_M = (34.0, 17.0)
+_SAMPLE_M = 4.0
+_BESIDE_M = BAY_M + PAVEMENT_M + 1.0
+_LOT_HALF_M = np.array([17.0, 8.5])
+_LOTS_PER_HA = 0.5
 _SPACE_M = 2.7
+_DECK_M = 5.5
+_HEDGED = 0.4
+_FAST_CLEAR_M, _UNBUILT = 18.0, 200
+"""Land along fast roads and between their carriageways grows trees, but no houses."""
+_WIDEST_M = 60.0
 
 
 @dataclass(frozen=True)
-class Building:
-    """An upright box: middle and half size in scene metres, height, roof colour, whether it has a ridge."""
+class Town:
+    """What stands on the land, in scene metres.
 
-    middle: Array
-    half: Array
-    height_m: float
-    roof: Array
-    gable: bool
+    ``buildings`` (n, 7): x, y, half length, half width, direction of the length (x, y), height.
+    ``trees`` (n, 4): x, y, radius, height. ``decks`` (n, 7): bridges, as buildings without walls.
+    ``yards`` (n, 7): pieces of land of one kind, as buildings, with a number 0-1 for the kind in place of the height.
+    ``spaces`` (n, 3): x, y, direction (rad) of the spaces of the car parks ``lots`` with their ``lines``.
+    """
 
-
-@dataclass(frozen=True)
-class Plots:
-    """All that stands on the land, in scene metres; ``trees`` (n, 4) x, y, radius, height; ``spaces`` (n, 3)."""
-
-    buildings: list[Building]
+    buildings: Array
     trees: Array
+    decks: Array
+    yards: Array
     lots: list[Array]
-    lot_lines: list[Array]
+    lines: list[Array]
     spaces: Array
-    sun_scene: Array
-    """Shift (2,) of a shadow per metre of height, in scene coordinates."""
 
 
-def plan(canvas: Canvas, lay: Layout, light: Sun, *, rng: np.random.Generator) -> Plots:
-    """Lay out buildings, car parks and trees on the land so that none touch another or a road."""
+@dataclass
+class _Land:
+    """What is taken, on a coarse canvas: ``taken`` (H, W) uint8, of which ``road`` holds the carriageways alone.
+
+    ``roads`` finds the nearest piece of a lane, ``heading`` is its unit vector.
+    """
+
+    canvas: Canvas
+    taken: NDArray[np.uint8]
+    road: NDArray[np.uint8]
+    roads: cKDTree
+    heading: Array
+
+    def direction(self, at: Array) -> Array:
+        """Return the unit vector (2,) along the nearest road."""
+        return np.asarray(self.heading[self.roads.query(at)[1]])
+
+    def claim(self, outline: Array, *, margin_m: float, whatever: bool = False) -> bool:
+        """Take the convex *outline* (k, 2) if it lies wholly on the canvas and is free (or *whatever*); says if so."""
+        middle = outline.mean(axis=0)
+        reach = outline - middle
+        wide = middle + reach * (1 + margin_m / np.maximum(np.hypot(*reach.T), 0.1))[:, None]
+        px = np.round(apply(self.canvas.scene_to_px, wide)).astype(np.int32)
+        low, high = px.min(axis=0), px.max(axis=0) + 1
+        if (low < 0).any() or (high > self.canvas.shape[::-1]).any():
+            return False
+        view = self.taken[low[1] : high[1], low[0] : high[0]]
+        wanted = cv2.fillConvexPoly(np.zeros(view.shape, np.uint8), px - low, 1)
+        if not whatever and (view[wanted > 0] > 0).any():
+            return False
+        view[wanted > 0] = 255
+        return True
+
+
+def plan(canvas: Canvas, lay: Layout, params: GroundParams, *, rng: np.random.Generator) -> Town:
+    """Lay out the land: lots and houses along the roads first, then houses behind them, then trees."""
+    land = _free_land(canvas.coarser(1.0), lay)
+    hectares = float(np.prod(np.array(land.canvas.shape, float) / land.canvas.px_per_m)) / 1e4
     low, high = canvas.extent_m()
-    tries = int(np.prod(high - low) / 160)
-    taken: list[Array] = []
-    lots, buildings = [], []
-    for k in range(tries):
-        middle = rng.uniform(low, high)
-        if k < 12:
-            half = np.array(_LOT_M if rng.random() < 0.5 else _LOT_M[::-1]) / 2
-        else:
-            half = rng.uniform((4, 4), (12, 8) if rng.random() < 0.8 else (20, 14))
-            half = half if rng.random() < 0.5 else half[::-1]
-        if not _free(middle, half, lay, taken):
-            continue
-        taken.append(np.concatenate([middle, half]))
-        if k < 12:
-            lots.append((middle, half))
-        else:
-            buildings.append(_building(middle, half, rng))
-    linear = canvas.scene_to_ground[:2, :2]
-    parts = [_lot(middle, half) for middle, half in lots]
-    return Plots(
-        buildings,
-        _trees(low, high, lay, taken, rng),
-        [rectangle((m[0] - h[0], m[0] + h[0]), (m[1] - h[1], m[1] + h[1])) for m, h in lots],
+    decks = _decks(land, lay, params.bridges, rng)
+    lots = _lots(land, rng.uniform(low, high, (int(np.ceil(_LOTS_PER_HA * hectares)), 2)))
+    houses = _houses_in_rows(land, lay, params.buildings_per_ha, rng)
+    wanted = int(params.buildings_per_ha * hectares)
+    houses += _houses_behind(land, rng.uniform(low, high, (wanted, 2)), rng)
+    yards = _yards(rng.uniform(low, high, (int(8 * hectares), 2)), land, rng)
+    trees = _trees(land, rng.uniform(low, high, (int(params.trees_per_ha * hectares), 2)), rng)
+    parts = [_lot(corner, along) for corner, along in lots]
+    return Town(
+        np.array(houses, float).reshape(-1, 7),
+        np.vstack(
+            [trees, _hedges(land, yards, rng), _street_trees(canvas, lay, decks, params.street_trees_per_km, rng)]
+        ),
+        np.array(decks, float).reshape(-1, 7),
+        yards,
+        [oblong(middle, _LOT_HALF_M, along) for middle, along in lots],
         [line for lines, _ in parts for line in lines],
         np.vstack([np.zeros((0, 3)), *(spaces for _, spaces in parts)]),
-        np.asarray(np.linalg.solve(linear, light.away_m)),
     )
 
 
-def land(canvas: Canvas, *, rng: np.random.Generator) -> Float32:
-    """Return the bare land (H, W, 3): grass, soil and paved yards, with texture of several scales."""
-    kind = multiscale(canvas, (30.0, 75.0), rng)
-    grass, soil = np.array([86, 102, 66], np.float32), np.array([142, 126, 102], np.float32)
-    part = (1 / (1 + np.exp(-2.5 * kind)))[..., None]
-    image = grass * part + soil * (1 - part)
-    texture = 5 * multiscale(canvas, (0.7, 2.0), rng) + 6 * multiscale(canvas, (5.0, 14.0), rng)
-    texture += cv2.GaussianBlur(rng.standard_normal(canvas.shape, np.float32), (0, 0), 0.8) * 8
-    return np.asarray(image + texture[..., None] * np.array([1.0, 0.97, 0.85], np.float32), np.float32)
+def _free_land(coarse: Canvas, lay: Layout) -> _Land:
+    """Mark roads with what lies beside them as taken, and sample the lanes for their direction."""
+    taken = np.zeros(coarse.shape, np.uint8)
+    for kerb in lay.kerbs:
+        if kerb.fast:
+            coarse.add(taken, polyline.ribbon(kerb.line, -_FAST_CLEAR_M, _WIDEST_M), _UNBUILT)
+    for outline in (*lay.asphalt, *lay.pavements):
+        coarse.add(taken, outline)
+    for kerb in lay.kerbs:
+        coarse.add(taken, polyline.ribbon(kerb.line, -_BESIDE_M, 0.5))
+    for rail in lay.rails:
+        coarse.add(taken, polyline.ribbon(rail, -3.0, 3.0))
+    points, headings = [np.zeros((0, 2))], [np.zeros((0, 2))]
+    for line, _ in lay.lanes:
+        xy, heading = polyline.along(line, np.arange(0.0, polyline.lengths(line)[-1] + _SAMPLE_M, _SAMPLE_M))
+        inside = coarse.inside(xy, margin_m=100.0)
+        points.append(xy[inside])
+        headings.append(heading[inside])
+    at, heading = np.vstack(points), np.vstack(headings)
+    if not len(at):
+        at, heading = np.zeros((1, 2)), np.array([[1.0, 0.0]])
+    return _Land(coarse, taken, coarse.mask(lay.asphalt), cKDTree(at), heading)
 
 
-def cast(canvas: Canvas, plots: Plots, light: Sun, shade: Float32) -> None:
-    """Raise *shade* (H, W), 0-1, by the shadows of buildings and trees."""
-    polygons = []
-    for building in plots.buildings:
-        walls = _outline(building)
-        roof = walls + plots.sun_scene * building.height_m
-        polygons.append(cv2.convexHull(np.vstack([walls, roof]).astype(np.float32)).reshape(-1, 2).astype(float))
-    for x, y, radius, height in plots.trees:
-        round_ = _circle(np.array([x, y]), radius * 0.95)
-        polygons.append(round_ + plots.sun_scene * height * 0.6)
-        polygons.append(round_ + plots.sun_scene * height)
-    mask = cv2.GaussianBlur(canvas.mask(polygons), (0, 0), 0.12 * canvas.px_per_m)
-    np.maximum(shade, mask.astype(np.float32) / 255, out=shade)
+def _lots(land: _Land, middles: Array) -> list[tuple[Array, Array]]:
+    found = []
+    for middle in middles:
+        along = land.direction(middle)
+        if land.claim(oblong(middle, _LOT_HALF_M, along), margin_m=2.0):
+            found.append((middle, along))
+    return found
 
 
-def build(canvas: Canvas, plots: Plots, light: Sun, image: Float32, *, rng: np.random.Generator) -> None:
-    """Draw roofs and tree crowns over *image*."""
-    for building in plots.buildings:
-        _draw_roof(canvas, building, -plots.sun_scene, image, rng)
-    for tree in plots.trees:
-        _draw_tree(canvas, tree, -plots.sun_scene, image, rng)
+def _houses_in_rows(land: _Land, lay: Layout, per_ha: float, rng: np.random.Generator) -> list[list[float]]:
+    """Put houses along the slow roads, closer together the more of them are wanted."""
+    houses: list[list[float]] = []
+    if per_ha <= 0:
+        return houses
+    for kerb in lay.kerbs:
+        length, s = float(polyline.lengths(kerb.line)[-1]), float(rng.uniform(5, 15))
+        while not kerb.fast and s < length:
+            half = np.array([rng.uniform(5, 14), rng.uniform(4.5, 7.5)])
+            (at,), (ahead,) = polyline.along(kerb.line, s + half[0])
+            setback = _BESIDE_M + 1.5 + rng.gamma(2.0, 2.0) + half[1]
+            houses += _house(land, at + setback * np.array([ahead[1], -ahead[0]]), half, ahead, rng)
+            s += 2 * half[0] + (0.3 if rng.random() < 0.35 else rng.gamma(2.0, 60.0 / per_ha))
+    return houses
 
 
-def _free(middle: Array, half: Array, lay: Layout, taken: list[Array]) -> bool:
-    for axis in lay.axes:
-        if abs(middle[1 - axis]) - half[1 - axis] < lay.clear_m:
-            return False
-    others = np.array(taken).reshape(-1, 4)
-    return bool((np.abs(middle - others[:, :2]) > half + others[:, 2:] + 3.0).any(axis=1).all())
+def _houses_behind(land: _Land, middles: Array, rng: np.random.Generator) -> list[list[float]]:
+    houses: list[list[float]] = []
+    for middle in middles:
+        half = rng.uniform((4.5, 4.0), (12, 8) if rng.random() < 0.85 else (28, 16))
+        along = land.direction(middle)
+        turned = along if rng.random() < 0.6 else np.array([-along[1], along[0]])
+        houses += _house(land, middle, half, turned, rng)
+    return houses
 
 
-def _building(middle: Array, half: Array, rng: np.random.Generator) -> Building:
-    roof = _ROOFS[rng.integers(len(_ROOFS))] + rng.normal(0, 10) + rng.normal(0, 4, 3)
-    large = half.min() > 9
-    return Building(middle, half, float(rng.uniform(5, 13)), roof, bool(not large and rng.random() < 0.75))
+def _house(land: _Land, middle: Array, half: Array, along: Array, rng: np.random.Generator) -> list[list[float]]:
+    height = float(rng.uniform(5.0, 8.0) if half.prod() < 60 else rng.uniform(6.0, 16.0))
+    if not land.claim(oblong(middle, half, along), margin_m=0.1):
+        return []
+    return [[*middle, *half, *along, height]]
 
 
-def _trees(low: Array, high: Array, lay: Layout, taken: list[Array], rng: np.random.Generator) -> Array:
-    rows, others = [], np.array(taken).reshape(-1, 4)
-    for _ in range(int(np.prod(high - low) / 320)):
-        middle, radius = rng.uniform(low, high), rng.uniform(1.2, 4.2)
-        beside_roads = all(abs(middle[1 - axis]) > lay.clear_m - 2 + radius for axis in lay.axes)
-        if beside_roads and (np.abs(middle - others[:, :2]) > others[:, 2:] + 0.6 * radius).any(axis=1).all():
-            rows.append([*middle, radius, rng.uniform(1.2, 2.0) * radius + 1])
+def _yards(middles: Array, land: _Land, rng: np.random.Generator) -> Array:
+    """Return lawns, drives, beds and gravel: rectangles along the roads, one over the other."""
+    rows = []
+    for middle in middles:
+        along = land.direction(middle)
+        col, row = np.round(apply(land.canvas.scene_to_px, middle[None])[0]).astype(int)
+        height, width = land.canvas.shape
+        if not (0 <= col < width and 0 <= row < height) or land.taken[row, col] == _UNBUILT:
+            continue
+        rows.append([*middle, *rng.gamma(2.0, (4.0, 2.5)) + 1.0, *along, rng.random()])
+    return np.array(rows, float).reshape(-1, 7)
+
+
+def _hedges(land: _Land, yards: Array, rng: np.random.Generator) -> Array:
+    """Return rows of bushes along one side of some of the *yards*, as small trees."""
+    rows = [np.zeros((0, 4))]
+    for x, y, half, other, along_x, along_y, _ in yards[rng.random(len(yards)) < _HEDGED]:
+        along, across = np.array([along_x, along_y]), np.array([-along_y, along_x])
+        at = np.arange(-half, half, 1.0)
+        xy = [x, y] + other * across + at[:, None] * along + rng.normal(0, 0.12, (len(at), 2))
+        col, row = np.round(apply(land.canvas.scene_to_px, xy)).astype(int).T
+        height, width = land.canvas.shape
+        free = (col >= 0) & (row >= 0) & (col < width) & (row < height)
+        free[free] = land.taken[row[free], col[free]] == 0
+        radius = rng.uniform(0.5, 1.0, len(at))
+        rows.append(np.column_stack([xy, radius, 1.2 * radius + 0.6])[free])
+    return np.vstack(rows)
+
+
+def _trees(land: _Land, middles: Array, rng: np.random.Generator) -> Array:
+    """Return trees on free land, in clumps: each stands near the last one as often as not."""
+    rows: list[list[float]] = []
+    for chance in middles:
+        middle = chance
+        if rows and rng.random() < 0.55:
+            middle = np.array(rows[int(rng.integers(max(0, len(rows) - 3), len(rows)))][:2]) + rng.normal(0, 4.5, 2)
+        radius = float(np.clip(rng.lognormal(0.8, 0.45), 0.8, 6.5))
+        px = np.round(apply(land.canvas.scene_to_px, middle[None])[0]).astype(int)
+        if (px < 0).any() or (px >= land.canvas.shape[::-1]).any():
+            continue
+        reach = max(1, int(radius * 0.7 * land.canvas.px_per_m))
+        around = land.taken[max(0, px[1] - reach) : px[1] + reach + 1, max(0, px[0] - reach) : px[0] + reach + 1]
+        if not (around == 255).any():
+            rows.append([*middle, radius, float(rng.uniform(1.5, 2.4) * radius + 1.5)])
     return np.array(rows, float).reshape(-1, 4)
 
 
-def _lot(middle: Array, half: Array) -> tuple[list[Array], Array]:
+def _street_trees(
+    canvas: Canvas, lay: Layout, decks: list[list[float]], per_km: float, rng: np.random.Generator
+) -> Array:
+    """Return trees in rows at the outer edge of the parking bays; the larger crowns reach over the carriageway."""
+    rows = [np.zeros((0, 4))]
+    for kerb in lay.kerbs:
+        length = float(polyline.lengths(kerb.line)[-1])
+        if kerb.fast or length < 40 or per_km <= 0:
+            continue
+        at = np.sort(rng.uniform(15, length - 15, rng.poisson(per_km * (length - 30) / 1000)))
+        xy, _ = polyline.along(polyline.parallel(kerb.line, -BAY_M - 0.8), at)
+        radius = rng.uniform(2.0, 5.2, len(at))
+        rows.append(np.column_stack([xy, radius, 1.6 * radius + 4.0])[canvas.inside(xy, margin_m=0.0)])
+    trees = np.vstack(rows)
+    bridges = np.array(decks, float).reshape(-1, 7)
+    apart = np.hypot(*(trees[:, None, :2] - bridges[None, :, :2]).transpose(2, 0, 1)) > bridges[:, 2] + 5
+    return np.asarray(trees[apart.all(axis=1)])
+
+
+def _decks(land: _Land, lay: Layout, count: int, rng: np.random.Generator) -> list[list[float]]:
+    """Return *count* footbridges over roads, each square to its road and as long as that is wide and a little more."""
+    places = [np.zeros((0, 4))]
+    for kerb in lay.kerbs:
+        length = float(polyline.lengths(kerb.line)[-1])
+        xy, ahead = polyline.along(kerb.line, np.arange(45.0, max(length - 45.0, 45.0), 10.0))
+        inside = land.canvas.inside(xy, margin_m=-40.0)
+        places.append(np.column_stack([xy, -ahead[:, 1], ahead[:, 0]])[inside])
+    found = np.vstack(places)
+    decks: list[list[float]] = []
+    across_m = np.arange(1.0, _WIDEST_M)
+    for x, y, over_x, over_y in found[rng.permutation(len(found))]:
+        over = np.array([over_x, over_y])
+        px = np.round(apply(land.canvas.scene_to_px, [x, y] + across_m[:, None] * over)).astype(int)
+        col, row = np.clip(px, 0, np.array(land.canvas.shape[::-1]) - 1).T
+        open_m = float(across_m[np.argmin(land.road[row, col] > 0)]) if (land.road[row, col] == 0).any() else _WIDEST_M
+        half = np.array([open_m / 2 + BAY_M + PAVEMENT_M + 2.0, rng.uniform(1.5, 3.5)])
+        middle = np.array([x, y]) + over * open_m / 2
+        apart = all(np.hypot(*(middle - other[:2])) > _WIDEST_M for other in decks)
+        if len(decks) < count and apart:
+            decks.append([*middle, *half, *over, _DECK_M])
+            land.claim(oblong(middle, half, over), margin_m=1.0, whatever=True)
+    return decks
+
+
+def _lot(middle: Array, along: Array) -> tuple[list[Array], Array]:
     """Return the lines and the spaces of a car park: two rows of cars, nose to the edge."""
-    long = int(half[1] > half[0])
-    count = int(2 * half[long] / _SPACE_M)
+    across = np.array([-along[1], along[0]])
+    count = int(2 * _LOT_HALF_M[0] / _SPACE_M)
     at = (np.arange(count) + 0.5 - count / 2) * _SPACE_M
+    turn = float(np.arctan2(across[1], across[0]))
     lines, spaces = [], []
     for sign in (-1, 1):
-        across = sign * (half[1 - long] - 2.6)
+        row = sign * (_LOT_HALF_M[1] - 2.6)
         for a in at:
-            place = np.array([a, across] if long == 0 else [across, a]) + middle
-            spaces.append([*place, np.pi / 2 if long == 0 else 0.0])
-            edge = a + _SPACE_M / 2
-            x, y = (edge - 0.06, edge + 0.06), (across - 2.3, across + 2.3)
-            lines.append((rectangle(x, y) if long == 0 else rectangle(y, x)) + middle)
+            spaces.append([*(middle + a * along + row * across), turn])
+            edge = middle + (a + _SPACE_M / 2) * along + row * across
+            lines.append(oblong(edge, np.array([0.06, 2.3]), along))
     return lines, np.array(spaces, float).reshape(-1, 3)
-
-
-def _outline(building: Building) -> Array:
-    return rectangle((-building.half[0], building.half[0]), (-building.half[1], building.half[1])) + building.middle
-
-
-def _circle(middle: Array, radius: float) -> Array:
-    a = np.linspace(0, 2 * np.pi, 20, endpoint=False)
-    return np.asarray(middle + radius * np.stack([np.cos(a), np.sin(a)], axis=1))
-
-
-def _draw_roof(canvas: Canvas, building: Building, sun: Array, image: Float32, rng: np.random.Generator) -> None:
-    half, middle, roof = building.half, building.middle, building.roof
-    long = int(half[1] > half[0])
-    sun = sun / max(float(np.hypot(*sun)), 1e-9)
-    for sign in (-1.0, 1.0):
-        # two slopes on both sides of the ridge; a flat roof has the same light on both
-        light = 1.0 + (0.16 * sign * sun[1 - long] if building.gable else 0.0)
-        span = (0.0, half[1 - long]) if sign > 0 else (-half[1 - long], 0.0)
-        whole = (-half[long], half[long])
-        part = rectangle(whole, span) if long == 0 else rectangle(span, whole)
-        canvas.fill(image, part + middle, roof * light)
-        if building.gable:
-            for t in np.arange(0.6, half[1 - long], 1.2):
-                row = (sign * t - 0.1, sign * t + 0.1)
-                tile = rectangle(whole, row) if long == 0 else rectangle(row, whole)
-                canvas.fill(image, tile + middle, roof * light * 0.93)
-    for _ in range(int(rng.integers(2, 3 + int(half.prod() / 18)))):
-        at = middle + rng.uniform(-0.85, 0.85, 2) * half
-        size = rng.uniform(0.4, 1.1, 2) if building.gable else rng.uniform(0.5, 2.0, 2)
-        level = rng.choice([60.0, 110.0, 205.0]) + rng.normal(0, 10)
-        canvas.fill(image, rectangle((-size[0], size[0]), (-size[1], size[1])) + at + _roof_shadow(sun), (40, 40, 42))
-        canvas.fill(image, rectangle((-size[0], size[0]), (-size[1], size[1])) + at, (level, level, level * 1.02))
-
-
-def _roof_shadow(sun: Array) -> Array:
-    """Return the small shift (2,) of a shadow on a roof, away from the *sun*."""
-    return np.asarray(-0.5 * sun)
-
-
-def _draw_tree(canvas: Canvas, tree: Array, sun: Array, image: Float32, rng: np.random.Generator) -> None:
-    middle, radius = tree[:2], tree[2]
-    sun = sun / max(float(np.hypot(*sun)), 1e-9)
-    base = np.array([62, 84, 48]) * rng.uniform(0.75, 1.15) + rng.normal(0, 4, 3)
-    canvas.fill(image, _circle(middle, radius * 0.9), base * 0.72)
-    for _ in range(int(8 + 4 * radius)):
-        a, far = rng.uniform(0, 2 * np.pi), radius * np.sqrt(rng.random()) * 0.85
-        offset = far * np.array([np.cos(a), np.sin(a)])
-        lit = 0.95 + 0.30 * float(offset @ sun) / radius + rng.normal(0, 0.1)
-        canvas.fill(image, _circle(middle + offset, radius * rng.uniform(0.12, 0.32)), base * lit)

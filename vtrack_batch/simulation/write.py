@@ -1,8 +1,10 @@
-"""The rim: write a simulated archive, its truth, its zones and a survey file ready to run."""
+"""The rim: write a simulated archive, its truth, its detections, its zones and a survey file ready to run."""
 
 from __future__ import annotations
 
 import io
+import shutil
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,160 +17,213 @@ import pandas as pd
 import rasterio
 import simplejpeg
 from numpy.typing import NDArray
-from rasterio.errors import RasterioError
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.transform import Affine
 from ruamel.yaml import YAML
 
 from vtrack_batch.errors import CannotCreate, ConfigError
 from vtrack_batch.model.homography import Array, apply
-from vtrack_batch.simulation import fleet, ground, network, paint, render, traffic, truth, zones
+from vtrack_batch.simulation import detector, driving, paint, render, sumo, traffic, truth, zones
+from vtrack_batch.simulation.fleet import Fleet
 from vtrack_batch.simulation.flight import Flight, fly
+from vtrack_batch.simulation.ground import Parked, filled
 from vtrack_batch.simulation.params import Scenario
+from vtrack_batch.simulation.places import Places, find_places
+from vtrack_batch.simulation.roadnet import RoadNet, read_net
+from vtrack_batch.simulation.scenery import Scenery, photographed, procedural
 from vtrack_batch.simulation.stage import Stage, compass_deg, local_stage, mapped_stage
+from vtrack_batch.simulation.view import View
 from vtrack_batch.traffic.params import TrafficParams
 
 PLATFORM = "main"
 """Name that an archive without sub-directories gives its only platform."""
-_FLEET, _FLIGHT, _GROUND, _FRAME, _GAIN = range(5)
-_ASPHALT_RGB = (101.0, 101.0, 104.0)
+_FRAME, _GAIN, _DETECTOR = 2, 3, 4
 
 
 @dataclass(frozen=True)
 class _Photo:
-    """An orthophoto: ``rgb`` (H, W, 3) uint8, its geotransform (corner based) and CRS."""
+    """A picture of the ground: ``rgb`` (H, W, 3) uint8, its geotransform (corner based) and CRS, null = none."""
 
     rgb: NDArray[np.uint8]
     transform: Affine
-    crs: str
+    crs: str | None
+
+    @property
+    def gsd_m(self) -> float:
+        return float(np.hypot(self.transform.a, self.transform.d))
+
+
+@dataclass(frozen=True)
+class _Ground:
+    """What frames are taken of: an orthophoto whose CRS they keep, a mere background, or neither; and how."""
+
+    photo: _Photo | None
+    background: _Photo | None
+    flight: Flight
+    margin_px: int
+
+    @property
+    def ending(self) -> str:
+        """Ending of the frames' names."""
+        return "tif" if self.photo else "jpg"
 
 
 def simulate(scenario: Scenario, out: str | Path, *, workers: int = 1, base: str | Path = ".") -> dict[str, Any]:
-    """Write the archive of *scenario* below *out*: frames/, truth/, zones.geojson, survey.yaml; return a summary.
+    """Write the archive of *scenario* below *out*; return a summary.
 
-    A relative orthophoto path is taken from *base*. The same scenario gives the same bytes, whatever the *workers*.
-    Raises ``ConfigError`` for an orthophoto that cannot serve, ``CannotCreate`` where *out* holds something else.
+    Relative paths in the scenario are taken from *base*. The same scenario gives the same bytes, whatever the
+    *workers*. Raises ``ConfigError`` for an orthophoto, network or routes that cannot serve and where SUMO is missing,
+    ``CannotCreate`` where *out* holds something else.
     """
-    out = Path(out)
-    photo = _read_photo(Path(base) / scenario.orthophoto) if scenario.orthophoto else None
-    _make_folders(scenario, out)
-    flight, stage = _flight_and_stage(scenario, photo)
-    arm_m = _arm_m(scenario, stage)
-    net = network.crossing(arm_m=arm_m) if scenario.scene == "crossing" else network.street(arm_m=arm_m)
-    rng = np.random.default_rng([scenario.seed, _FLEET])
-    vehicles = fleet.draw_fleet(net, scenario, rng=rng)
-    marks_s = net.marks_s(zones.gate_distances(net, stage))
-    states = traffic.simulate_traffic(
-        net, vehicles, scenario, marks_s=marks_s, offset_s=float(rng.uniform(0, traffic.cycle_s(scenario)))
+    out, base = Path(out), Path(base)
+    sumo.home()
+    view = View(
+        scenario.camera, scenario.ground, scenario.light, scenario.seed, scenario.interval_s, scenario.frame_count
     )
-    light = paint.sun(scenario.sun_azimuth_deg, scenario.sun_elevation_deg)
-    below, parked = _ground(net, scenario, stage, light, photo)
-    camera = render.Camera(below, stage, flight, light, scenario)
-    tables = _painter_tables(camera, vehicles, states)
-    names, t_utc = _names_and_times(scenario, ".tif" if photo else ".jpg")
+    ground = _read_ground(scenario, view, base)
+    fresh = _make_folders(scenario, out)
+    try:
+        stage, places, fleet, moved, net = _traffic(scenario, out, base, ground)
+    except ConfigError:
+        if fresh:
+            shutil.rmtree(out)
+        raise
+    names, t_utc = _names_and_times(scenario, ground.ending)
+    states = traffic.states_at(moved, view.t_s)
+    camera = render.Camera(view, stage, ground.flight, _scenery(scenario, view, stage, net, ground))
+    tables = _painter_tables(camera, fleet, states)
     world = truth.World(
-        net, vehicles, states, stage, flight, names, t_utc,
+        places, fleet, moved, states, stage, ground.flight, names, t_utc,
         f"{PLATFORM}/{t_utc[0]:%Y%m%dT%H%M%SZ}", scenario.time_zone,
     )  # fmt: skip
-    seen = truth.sightings(world, tables, _background(camera, states))
+    seen = truth.sightings(world, camera, tables)
     found = truth.truth_tables(world, seen, bin_s=TrafficParams().bin_s)
-    _write_truth(out, world, found, parked)
-    (out / "zones.geojson").write_text(zones.zones_geojson(net, stage), encoding="utf-8")
-    _write_survey(out, scenario, stage)
+    _write_truth(out, world, found, camera)
+    _write_detections(out, scenario, world, found)
+    (out / "zones.geojson").write_text(zones.zones_geojson(places, stage), encoding="utf-8")
+    _write_survey(out, scenario, stage, ground.ending)
     if scenario.frames:
-        _write_frames(out, camera, tables, names, photo, workers)
-    return _summary(out, scenario, found, len(parked.xy_m))
+        _write_frames(out, camera, tables, names, ground, workers)
+    return _summary(out, scenario, found, len(camera.scenery.parked.xy_m))
 
 
-def _read_photo(path: Path) -> _Photo:
+def _traffic(
+    scenario: Scenario, out: Path, base: Path, ground: _Ground
+) -> tuple[Stage, Places, Fleet, traffic.Motion, RoadNet]:
+    net_file = driving.network(scenario, out / "sumo", base=base, reach_m=_reach_m(scenario, ground))
+    net = read_net(net_file)
+    stage = _stage(scenario, ground, net)
+    places = find_places(net, stage)
+    driven = driving.drive(scenario, out / "sumo", base=base, net=net, net_file=net_file, places=places)
+    return stage, places, *driven, net
+
+
+def _read_ground(scenario: Scenario, view: View, base: Path) -> _Ground:
+    """Read the pictures that the scenario names, and fly over them."""
+    photo = _read_photo(base / scenario.ground.orthophoto) if scenario.ground.orthophoto else None
+    behind = scenario.ground.background
+    background = _read_photo(base / behind, projected=False) if behind and photo is None else None
+    size = (scenario.camera.width_px, scenario.camera.height_px)
+    if photo is None:
+        return _Ground(None, background, fly(view, size_px=size, rigid=False), 0)
+    height, width = photo.rgb.shape[:2]
+    flight = fly(view, size_px=(width, height), rigid=True)
+    margin = int(np.ceil(np.abs(flight.poses[:, :2, 2]).max())) + 2
+    if min(width, height) - 2 * margin < 64:
+        raise ConfigError(f"orthophoto: {width} x {height} px leave no room for a drift of {margin} px; lower drift_px")
+    return _Ground(photo, None, flight, margin)
+
+
+def _read_photo(path: Path, *, projected: bool = True) -> _Photo:
     try:
-        with rasterio.open(path) as source:
-            bands, crs, transform = source.read(), source.crs, source.transform
+        with warnings.catch_warnings():
+            # a background may do without a georeference
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with rasterio.open(path) as source:
+                bands, crs, transform = source.read(), source.crs, source.transform
+                valid = source.dataset_mask() > 0
     except (RasterioError, OSError) as problem:
-        raise ConfigError(f"orthophoto {path}: cannot be read ({problem})") from None
-    if crs is None or not crs.is_projected or crs.to_epsg() is None:
+        raise ConfigError(f"picture {path}: cannot be read ({problem})") from None
+    if projected and (crs is None or not crs.is_projected or crs.to_epsg() is None):
         raise ConfigError(f"orthophoto {path}: needs a projected CRS with an EPSG code, found {crs}")
-    if len(bands) < 3 or bands.dtype != np.uint8:
-        raise ConfigError(f"orthophoto {path}: needs three bands of 8 bits, found {len(bands)} of {bands.dtype}")
-    return _Photo(np.ascontiguousarray(bands[:3].transpose(1, 2, 0)), transform, f"EPSG:{crs.to_epsg()}")
+    if crs is not None and crs.is_geographic:
+        raise ConfigError(f"picture {path}: is in degrees ({crs}); give it a projected CRS, or none")
+    if len(bands) < 3 or bands.dtype != np.uint8 or not valid.any():
+        raise ConfigError(f"picture {path}: needs three bands of 8 bits, found {len(bands)} of {bands.dtype}")
+    code = f"EPSG:{crs.to_epsg()}" if projected else None
+    return _Photo(filled(np.ascontiguousarray(bands[:3].transpose(1, 2, 0)), valid), transform, code)
 
 
-def _make_folders(scenario: Scenario, out: Path) -> None:
-    """Make the folders; one that holds an archive of the very same scenario is written over."""
+def _make_folders(scenario: Scenario, out: Path) -> bool:
+    """Make the folders and return whether *out* is new; an archive of the very same scenario is written over."""
     record = scenario.model_dump_json(indent=1) + "\n"
     try:
-        if out.is_dir() and any(out.iterdir()):
+        fresh = not (out.is_dir() and any(out.iterdir()))
+        if not fresh:
             held = out / "scenario.json"
             if not (held.is_file() and held.read_text(encoding="utf-8") == record):
                 raise CannotCreate(f"{out}: is not empty and was not made from this scenario; choose another folder")
-        for folder in (out / "truth", *([out / "frames"] if scenario.frames else [])):
-            folder.mkdir(parents=True, exist_ok=True)
+        for folder in ("truth", "sumo", *(["frames"] if scenario.frames else [])):
+            (out / folder).mkdir(parents=True, exist_ok=True)
         (out / "scenario.json").write_text(record, encoding="utf-8")
     except OSError as problem:
         raise CannotCreate(f"{out}: cannot be created ({problem})") from None
+    return fresh
 
 
-def _flight_and_stage(scenario: Scenario, photo: _Photo | None) -> tuple[Flight, Stage]:
-    rng = np.random.default_rng([scenario.seed, _FLIGHT])
+def _reach_m(scenario: Scenario, ground: _Ground) -> float:
+    """Return how far from the middle roads must reach to be well out of view wherever the platform wanders."""
+    camera = scenario.camera
+    width, height, gsd_m = camera.width_px, camera.height_px, camera.gsd_m
+    if ground.photo is not None:
+        (height, width), gsd_m = ground.photo.rgb.shape[:2], ground.photo.gsd_m
+    return float(gsd_m * (np.hypot(width, height) / 2 + 2.5 * camera.drift_px) + 60.0)
+
+
+def _stage(scenario: Scenario, ground: _Ground, net: RoadNet) -> Stage:
+    camera, axis = scenario.camera, scenario.ground.street_px if scenario.name == "street" else None
+    middle = (0.0, 0.0)
+    if scenario.network is not None:
+        x, y = net.middle_m.tolist() if scenario.centre_m is None else scenario.centre_m
+        middle = (float(x), float(y))
+    photo, margin = ground.photo, ground.margin_px
     if photo is None:
-        stage = local_stage(scenario)
-        return fly(scenario, size_px=(stage.width_px, stage.height_px), rigid=False, rng=rng), stage
-    height, width = photo.rgb.shape[:2]
-    flight = fly(scenario, size_px=(width, height), rigid=True, rng=rng)
-    margin = _margin_px(flight)
-    size = (width - 2 * margin, height - 2 * margin)
-    if min(size) < 64:
-        raise ConfigError(f"orthophoto: {width} x {height} px leave no room for a drift of {margin} px; lower drift_px")
-    a = photo.transform @ Affine.translation(margin + 0.5, margin + 0.5)
-    to_ground = np.array([[a.a, a.b, a.c], [a.d, a.e, a.f], [0, 0, 1]])
-    return flight, mapped_stage(scenario, size_px=size, reference_to_ground=to_ground, crs=photo.crs)
+        local = local_stage(camera, middle_m=middle)
+        size, to_ground, crs = (camera.width_px, camera.height_px), local.reference_to_ground, None
+    else:
+        size = (photo.rgb.shape[1] - 2 * margin, photo.rgb.shape[0] - 2 * margin)
+        a = photo.transform @ Affine.translation(margin + 0.5, margin + 0.5)
+        to_ground, crs = np.array([[a.a, a.b, a.c], [a.d, a.e, a.f], [0, 0, 1]]), photo.crs
+    return mapped_stage(camera, size_px=size, reference_to_ground=to_ground, crs=crs, middle_m=middle, axis_px=axis)
 
 
-def _margin_px(flight: Flight) -> int:
-    return int(np.ceil(np.abs(flight.poses[:, :2, 2]).max())) + 2
+def _scenery(scenario: Scenario, view: View, stage: Stage, net: RoadNet, ground: _Ground) -> Scenery:
+    if ground.photo is not None:
+        shift = np.array([[1, 0, -ground.margin_px], [0, 1, -ground.margin_px], [0, 0, 1.0]])
+        return photographed(view, stage, net, ground.photo.rgb, photo_to_reference=shift)
+    if ground.background is not None:
+        # middle upon middle
+        rgb, untold = ground.background.rgb, ground.background.transform.is_identity
+        zoom = 1.0 if untold else ground.background.gsd_m / stage.gsd_m
+        there, here = (np.array(rgb.shape[1::-1]) - 1) / 2, np.array([stage.width_px - 1, stage.height_px - 1]) / 2
+        x, y = here - zoom * there
+        laid = np.array([[zoom, 0, x], [0, zoom, y], [0, 0, 1.0]])
+        return photographed(view, stage, net, rgb, photo_to_reference=laid)
+    return procedural(view, stage, net, picture=scenario.frames)
 
 
-def _arm_m(scenario: Scenario, stage: Stage) -> float:
-    """Return how far arms reach: well out of view wherever the platform wanders, and 450 m where that is little."""
-    far = apply(stage.reference_to_ground, np.array([[0, 0], [stage.width_px, stage.height_px]]))
-    beyond = float(np.hypot(*(far[1] - far[0]))) / 2 + 2.5 * scenario.drift_px * stage.gsd_m + 60.0
-    return max(beyond, 450.0 if scenario.scene == "crossing" else 0.0)
-
-
-def _ground(
-    net: network.Network, scenario: Scenario, stage: Stage, light: paint.Sun, photo: _Photo | None
-) -> tuple[ground.Ground, ground.Parked]:
-    if photo is not None:
-        margin = (np.array(photo.rgb.shape[1::-1]) - [stage.width_px, stage.height_px]) // 2
-        shift = np.array([[1, 0, -margin[0]], [0, 1, -margin[1]], [0, 0, 1.0]])
-        return ground.photo_ground(photo.rgb, to_reference=shift)
-    if not scenario.frames:
-        flat = np.full((1, 1, 3), np.round(_ASPHALT_RGB), np.uint8)
-        return ground.photo_ground(flat, to_reference=np.eye(3))
-    rng = np.random.default_rng([scenario.seed, _GROUND])
-    return ground.town_ground(net, scenario, stage, light, rng=rng)
-
-
-def _painter_tables(camera: render.Camera, vehicles: fleet.Fleet, states: traffic.States) -> list[Array]:
+def _painter_tables(camera: render.Camera, fleet: Fleet, states: traffic.States) -> list[Array]:
     """Return the painter's table of each frame; brightness varies a little from sighting to sighting."""
-    begin = np.searchsorted(states.frame, np.arange(camera.scenario.frame_count + 1))
+    begin = np.searchsorted(states.frame, np.arange(camera.view.frame_count + 1))
     tables = []
-    for k in range(camera.scenario.frame_count):
+    for k in range(camera.view.frame_count):
         part = slice(begin[k], begin[k + 1])
-        looks = vehicles.looks.take(states.vehicle[part])
+        looks = fleet.looks.take(states.vehicle[part])
         table = render.place(camera, k, looks, xy_m=states.xy_m[part], forward=states.forward[part])
-        rng = np.random.default_rng([camera.scenario.seed, _GAIN, k])
-        gain = 1 + camera.scenario.appearance_gain * rng.standard_normal(len(table))
+        rng = np.random.default_rng([camera.view.seed, _GAIN, k])
+        gain = 1 + camera.view.light.appearance_gain * rng.standard_normal(len(table))
         tables.append(paint.brightened(table, gain))
     return tables
-
-
-def _background(camera: render.Camera, states: traffic.States) -> list[Array]:
-    """Return per frame the ground's colour (n, 3) below each vehicle's centre."""
-    to_image = np.linalg.inv(camera.ground.to_reference) @ camera.stage.scene_to_frame(np.eye(3))
-    col, row = np.round(apply(to_image, states.xy_m)).astype(int).T
-    height, width = camera.ground.rgba.shape[:2]
-    rgb = camera.ground.rgba[np.clip(row, 0, height - 1), np.clip(col, 0, width - 1), :3].astype(float)
-    return np.split(rgb, np.searchsorted(states.frame, np.arange(1, camera.scenario.frame_count)))
 
 
 def _names_and_times(scenario: Scenario, ending: str) -> tuple[list[str], pd.DatetimeIndex]:
@@ -178,21 +233,30 @@ def _names_and_times(scenario: Scenario, ending: str) -> tuple[list[str], pd.Dat
     t_utc = pd.DatetimeIndex(first + pd.to_timedelta(us, unit="us")).as_unit("us")
     keep = None if (us % 1000).any() else -3
     stamps = [f"{t:%Y%m%dT%H%M%S.%f}"[:keep] for t in t_utc]
-    return [f"{scenario.scene}_{stamp}Z{ending}" for stamp in stamps], t_utc
+    return [f"{scenario.name}_{stamp}Z.{ending}" for stamp in stamps], t_utc
 
 
-def _write_truth(out: Path, world: truth.World, tables: dict[str, pd.DataFrame], parked: ground.Parked) -> None:
+def _write_truth(out: Path, world: truth.World, tables: dict[str, pd.DataFrame], camera: render.Camera) -> None:
     for name, table in tables.items():
         path = out / "truth" / f"{name}.parquet"
         if "geometry" in table:
             geopandas.GeoDataFrame(table, geometry="geometry", crs=world.stage.crs).to_parquet(path, index=False)
         else:
             table.to_parquet(path, index=False)
+    seen = np.isin(world.fleet.ids, tables["trajectories"]["vehicle_id"].to_numpy(object))
+    known = {"vehicle_id": world.fleet.ids[seen], "sumo_id": np.array(world.fleet.names, object)[seen]}
+    pd.DataFrame(known).sort_values("vehicle_id").to_parquet(out / "truth" / "vehicles.parquet", index=False)
+    others = [render.others(camera, k).assign(t_utc=world.t_utc[k]) for k in range(camera.view.frame_count)]
+    pd.concat(others, ignore_index=True).to_parquet(out / "truth" / "others.parquet", index=False)
     letters = [f"h{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)]
     poses = pd.DataFrame(world.flight.poses.reshape(-1, 9), columns=letters)
     poses.insert(0, "frame", np.arange(len(poses)))
     poses.to_csv(out / "truth" / "poses.csv", index=False, lineterminator="\n")
-    px = apply(world.stage.ground_to_reference, parked.xy_m)
+    _write_parked(out, world.stage, camera.scenery.parked)
+
+
+def _write_parked(out: Path, stage: Stage, parked: Parked) -> None:
+    px = apply(stage.ground_to_reference, parked.xy_m)
     pd.DataFrame(
         {
             "ref_col_px": px[:, 0],
@@ -206,13 +270,25 @@ def _write_truth(out: Path, world: truth.World, tables: dict[str, pd.DataFrame],
     ).round(4).to_csv(out / "truth" / "parked.csv", index=False, lineterminator="\n")
 
 
-def _write_survey(out: Path, scenario: Scenario, stage: Stage) -> None:
-    ending = "jpg" if stage.crs is None else "tif"
+def _write_detections(out: Path, scenario: Scenario, world: truth.World, tables: dict[str, pd.DataFrame]) -> None:
+    """Write what a detector would give beside the truth's folder, and whose they are inside it."""
+    found, key = detector.detected(
+        tables["detections"],
+        tables["frames"],
+        (world.stage.reference_to_ground, world.flight.poses),
+        params=scenario.detector,
+        rng=np.random.default_rng([scenario.seed, _DETECTOR]),
+    )
+    found.to_parquet(out / "detections.parquet", index=False)
+    key.to_parquet(out / "truth" / "detection_keys.parquet", index=False)
+
+
+def _write_survey(out: Path, scenario: Scenario, stage: Stage, ending: str) -> None:
     survey: dict[str, Any] = {
-        "survey": {"name": f"simulated {scenario.scene}", "time_zone": scenario.time_zone},
-        "archive": {"root": "frames", "pattern": f"{scenario.scene}_{{time:%Y%m%dT%H%M%S.%fZ}}.{ending}"},
+        "survey": {"name": f"simulated {scenario.name}", "time_zone": scenario.time_zone},
+        "archive": {"root": "frames", "pattern": f"{scenario.name}_{{time:%Y%m%dT%H%M%S.%fZ}}.{ending}"},
     }
-    gsd_m = scenario.gsd_m if stage.crs is None else round(stage.gsd_m, 4)
+    gsd_m = scenario.camera.gsd_m if stage.crs is None else round(stage.gsd_m, 4)
     survey["georeference"] = {"gsd_m": gsd_m} | ({"crs": stage.crs} if stage.crs else {})
     survey |= {"zones": "zones.geojson", "output": {"root": "results"}}
     text = io.StringIO()
@@ -221,20 +297,19 @@ def _write_survey(out: Path, scenario: Scenario, stage: Stage) -> None:
 
 
 def _write_frames(
-    out: Path, camera: render.Camera, tables: list[Array], names: list[str], photo: _Photo | None, workers: int
+    out: Path, camera: render.Camera, tables: list[Array], names: list[str], ground: _Ground, workers: int
 ) -> None:
     def one(k: int) -> None:
-        rng = np.random.Generator(np.random.SFC64([camera.scenario.seed, _FRAME, k]))
+        rng = np.random.Generator(np.random.SFC64([camera.view.seed, _FRAME, k]))
         image = render.render(camera, k, tables[k], rng=rng)
         path = out / "frames" / names[k]
-        if photo is None:
-            path.write_bytes(
-                simplejpeg.encode_jpeg(image, quality=camera.scenario.jpeg_quality, colorsubsampling="420")
-            )
+        if ground.photo is None:
+            quality = camera.view.camera.jpeg_quality
+            path.write_bytes(simplejpeg.encode_jpeg(image, quality=quality, colorsubsampling="420"))
         else:
             # the pose is a pure translation: the corner of the frame lies at minus that much of the reference frame
-            shift = _margin_px(camera.flight) - camera.flight.poses[k, :2, 2]
-            _write_geotiff(path, image, photo.transform @ Affine.translation(*shift), photo.crs)
+            shift = ground.margin_px - camera.flight.poses[k, :2, 2]
+            _write_geotiff(path, image, ground.photo.transform @ Affine.translation(*shift), str(ground.photo.crs))
 
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)

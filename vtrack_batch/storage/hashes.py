@@ -1,4 +1,4 @@
-"""Content hashes of the archive's files, remembered by path, size and modification time so that each is read once.
+"""What is known of the archive's files, remembered by path, size and modification time so that each is read once.
 
 The store is a cache: lost or damaged, it is made anew from the files.
 """
@@ -6,78 +6,97 @@ The store is a cache: lost or damaged, it is made anew from the files.
 from __future__ import annotations
 
 import sqlite3
-import time
-from collections.abc import Callable, Iterable
-from contextlib import closing, suppress
+from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
-_SCHEMA = "create table if not exists files (name blob primary key, size int, mtime_ns int, sha256 text)"
+from vtrack_batch.model.known import KnownFile
+
+_SCHEMA = (
+    "create table if not exists seen "
+    "(name blob primary key, size int, mtime_ns int, sha256 text, stamp text) without rowid"
+)
+
+_READ_ON = "begin"
+"""Questions in one transaction: asking for the file's lock each time costs more than the answer."""
+_ASK = "select size, mtime_ns, sha256, stamp from seen where name = ?"
 
 
-RACY_NS = 2_000_000_000
-"""A file modified so recently may change again within the clock's resolution; it is hashed again next time."""
+class FileStore:
+    """Remembers files by path; without a place of its own it remembers nothing.
 
-
-class HashStore:
-    """Remembers SHA-256 by (name, size, mtime_ns); without a path it remembers nothing."""
+    Rows are asked for one by one, so that no archive is too large for it.
+    """
 
     def __init__(self, path: Path | None) -> None:
         self._path = path
+        self._db = self._open() if path is not None and path.parent.is_dir() else None
 
-    def fill(self, files: Iterable[tuple[str, int, int]], hash_of: Callable[[str], str | None]) -> dict[str, str]:
-        """Return the hash of every (name, size, mtime_ns), calling *hash_of* only for new or changed files.
-
-        Files for which *hash_of* returns None (unreadable) are left out, and asked for again next time.
-        """
-        known = self._load()
-        hashes: dict[str, str] = {}
-        fresh: list[tuple[str, int, int, str]] = []
-        for name, size, mtime_ns in files:
-            seen = known.get(name)
-            if seen is not None and seen[:2] == (size, mtime_ns):
-                hashes[name] = seen[2]
-                continue
-            digest = hash_of(name)
-            if digest is not None:
-                hashes[name] = digest
-                if time.time_ns() - mtime_ns > RACY_NS:
-                    fresh.append((name, size, mtime_ns, digest))
-        if fresh:
-            self._store(fresh)
-        return hashes
-
-    def _load(self) -> dict[str, tuple[int, int, str]]:
-        if self._path is None:
-            return {}
+    def get(self, path: str) -> KnownFile | None:
+        """Return what is known of the file at *path*."""
+        if self._db is None:
+            return None
         try:
-            with closing(self._open(self._path)) as db:
-                rows = db.execute("select name, size, mtime_ns, sha256 from files").fetchall()
-        except sqlite3.OperationalError:  # held by another process, or not ours to read: the files themselves tell
-            return {}
+            row = self._db.execute(_ASK, (_bytes(path),)).fetchone()
+        except sqlite3.DatabaseError:  # held by another process, or damaged: the files themselves tell
+            self._db = None
+            return None
+        return KnownFile(*row) if row else None
+
+    def __len__(self) -> int:
+        if self._db is None:
+            return 0
+        try:
+            return int(self._db.execute("select count(*) from seen").fetchone()[0])
         except sqlite3.DatabaseError:
-            self._path.unlink(missing_ok=True)
-            return {}
-        return {_text(name): (size, mtime_ns, sha256) for name, size, mtime_ns, sha256 in rows}
+            return 0
 
-    def _store(self, rows: list[tuple[str, int, int, str]]) -> None:
-        if self._path is None:
+    def remember(self, files: Iterable[tuple[str, KnownFile]]) -> None:
+        """Remember *files* by path, all or none."""
+        if self._path is None or not self._path.parent.is_dir():
             return
-        with suppress(sqlite3.OperationalError), closing(self._open(self._path)) as db, db:
-            db.executemany(
-                "insert or replace into files values (?, ?, ?, ?)",
-                [(_bytes(name), size, mtime_ns, sha256) for name, size, mtime_ns, sha256 in rows],
-            )
+        rows = [(_bytes(path), *file) for path, file in files]
+        for _ in range(2):
+            self._db = self._db or self._open()
+            if self._db is None:
+                return
+            try:
+                with self._db:
+                    self._db.executemany("insert or replace into seen values (?, ?, ?, ?, ?)", rows)
+                self._db.execute(_READ_ON)
+                return
+            except sqlite3.OperationalError:  # held by another process, or the disk is full: it is only a cache
+                return
+            except sqlite3.DatabaseError:
+                self._forget()
 
-    @staticmethod
-    def _open(path: Path) -> sqlite3.Connection:
-        db = sqlite3.connect(path)
-        db.execute(_SCHEMA)
-        return db
+    def close(self) -> None:
+        """Let go of the file."""
+        if self._db is not None:
+            self._db.close()
+            self._db = None
+
+    def _open(self) -> sqlite3.Connection | None:
+        assert self._path is not None
+        for _ in range(2):
+            try:
+                db = sqlite3.connect(self._path, timeout=5.0)
+                db.execute(_SCHEMA)
+                db.execute("select count(*) from (select 1 from seen limit 1)").fetchone()
+                db.execute(_READ_ON)
+                return db
+            except sqlite3.OperationalError:  # held by another process, or not ours to write
+                return None
+            except sqlite3.DatabaseError:
+                self._forget()
+        return None
+
+    def _forget(self) -> None:
+        self._db = None
+        with suppress(OSError):
+            assert self._path is not None
+            self._path.unlink(missing_ok=True)
 
 
 def _bytes(name: str) -> bytes:
     return name.encode("utf-8", "surrogateescape")
-
-
-def _text(name: bytes) -> str:
-    return name.decode("utf-8", "surrogateescape")

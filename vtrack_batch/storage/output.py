@@ -5,7 +5,7 @@
     OUT/current -> snapshots/000042        one atomic pointer
     OUT/snapshots/NNNNNN/<table>/date=YYYY-MM-DD/*.parquet, manifest.json, report/, ground/
     OUT/data/<step>/<key>/                 finished parts, never modified; part.json lists what is in them
-    OUT/state/                             lock, staging, remembered hashes, what parts were made of
+    OUT/state/                             lock, staging, remembered hashes, logs of runs
 
 A *part* is the result of one step on one piece of work, named by the hash of all that went into it. Its folder is
 filled under ``state/staging`` and renamed into ``data`` when it is whole: a part that exists is complete.
@@ -19,12 +19,21 @@ import os
 import secrets
 import shutil
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from vtrack_batch.errors import Busy, CannotCreate, StorageError
+from vtrack_batch.errors import CannotCreate, StorageError
+from vtrack_batch.storage.durable import (
+    fsync,
+    fsync_folders,
+    link,
+    make_durable_folder,
+    remove_tree,
+    write_durable,
+)
+from vtrack_batch.storage.lock import locked
 
 MARK = "VTRACK_OUTPUT"
 
@@ -54,13 +63,14 @@ class Output:
         self.data = root / "data"
         self.snapshots = root / "snapshots"
         self.state = root / "state"
+        self.staging = self.state / "staging"
         self.current = root / "current"
 
     def create(self) -> None:
         """Make the folders; raises ``CannotCreate`` where that is impossible."""
         try:
-            for folder in (self.data, self.snapshots, self.state / "staging"):
-                folder.mkdir(parents=True, exist_ok=True)
+            for folder in (self.data, self.snapshots, self.staging):
+                make_durable_folder(folder)
             # beside the staging area, which the holder of the lock may just be clearing
             probe = self.state / f"probe-{secrets.token_hex(4)}"
             probe.write_bytes(b"")
@@ -76,25 +86,31 @@ class Output:
 
     @contextmanager
     def locked(self, wait_s: float = 0.0) -> Iterator[None]:
-        """Hold the output against other runs; raises ``Busy`` that names the holder."""
-        from filelock import FileLock, Timeout
-
-        note = self.state / "holder.json"
-        lock = FileLock(self.state / "lock")
-        try:
-            lock.acquire(timeout=wait_s)
-        except Timeout:
-            raise Busy(f"{self.root}: another run holds it ({_holder(note)}); wait with --wait SECONDS") from None
-        try:
-            note.write_text(json.dumps({"pid": os.getpid(), "host": os.uname().nodename}) + "\n")
-            shutil.rmtree(self.state / "staging", ignore_errors=True)
-            (self.state / "staging").mkdir(exist_ok=True)
+        """Hold the output against other runs and sweep up after killed ones; raises ``Busy`` that names the holder."""
+        with locked(self.state, what=str(self.root), wait_s=wait_s):
+            try:
+                self._sweep()
+            except OSError as problem:
+                raise StorageError(f"{self.staging}: cannot be cleared ({problem})") from None
             yield
-        finally:
-            note.unlink(missing_ok=True)
-            lock.release()
+
+    def _sweep(self) -> None:
+        """Remove what is half written; a worker that outlived its run can no longer finish any of it."""
+        remove_tree(self.staging)
+        self.staging.mkdir(exist_ok=True)
+        for folder in (*self.state.glob(".removed-*"), *self.snapshots.glob(".removed-*")):
+            shutil.rmtree(folder, ignore_errors=True)
+        for rest in (*self.root.glob(".current-*"), *self.state.glob("probe-*"), *self.state.glob(".*.tmp")):
+            rest.unlink(missing_ok=True)
 
     # parts ---------------------------------------------------------------------------------------------------------
+
+    def keys(self, step: str) -> frozenset[str]:
+        """Return the keys of all finished parts of *step*."""
+        try:
+            return frozenset(os.listdir(self.data / step))  # noqa: PTH208 # names only, for there are many
+        except (FileNotFoundError, NotADirectoryError):
+            return frozenset()
 
     def part(self, step: str, key: str) -> Part | None:
         """Return the finished part, or None."""
@@ -105,41 +121,40 @@ class Output:
             return None
         except (OSError, ValueError) as problem:
             raise StorageError(
-                f"{folder}: the part cannot be read ({problem}); delete this folder and run again"
+                f"{folder}: the part cannot be read ({problem}); `vtrack-batch repair` drops it"
             ) from None
         return Part(folder, about)
 
     @contextmanager
     def new_part(self, step: str, key: str, about: Mapping[str, Any]) -> Iterator[Path]:
         """Give an empty folder to fill; on leaving without an error it becomes the part, whole and durable."""
-        draft = self.state / "staging" / f"{step}-{key[:16]}-{secrets.token_hex(4)}"
+        draft = self.staging / f"{step}-{key[:16]}-{secrets.token_hex(4)}"
         try:
             draft.mkdir(parents=True)
             yield draft
-            files = {
-                str(path.relative_to(draft)): described(path) for path in sorted(draft.rglob("*")) if path.is_file()
-            }
-            _write_durable(draft / "part.json", json.dumps({**about, "files": files}, sort_keys=True, indent=1) + "\n")
-            for path in draft.rglob("*"):
-                _fsync(path)
+            _seal(draft, about)
             target = self.data / step / key
-            target.parent.mkdir(parents=True, exist_ok=True)
-            if target.exists():
-                shutil.rmtree(draft)
-            else:
+            make_durable_folder(target.parent)
+            try:
                 draft.rename(target)
-            _fsync(target.parent)
+            except OSError:
+                # made meanwhile by another worker: the same key is the same content
+                if not (target / "part.json").is_file():
+                    raise
+            fsync(target.parent)
         except OSError as problem:
-            raise StorageError(f"{draft.name}: cannot be written ({problem}); the earlier results are intact") from None
+            raise StorageError(_not_written(draft.name, problem)) from None
         finally:
             shutil.rmtree(draft, ignore_errors=True)
 
     def drop_part(self, step: str, key: str) -> None:
         """Forget a part, so that it is computed again; it goes at once, so that none is ever seen half."""
-        draft = self.state / "staging" / f"dropped-{secrets.token_hex(8)}"
-        with suppress(FileNotFoundError):
-            (self.data / step / key).rename(draft)
-        shutil.rmtree(draft, ignore_errors=True)
+        folder = self.data / step / key
+        if folder.exists():
+            doomed = self.staging / f"dropped-{secrets.token_hex(8)}"
+            folder.rename(doomed)
+            fsync(folder.parent)
+            shutil.rmtree(doomed, ignore_errors=True)
 
     # snapshots -----------------------------------------------------------------------------------------------------
 
@@ -158,30 +173,33 @@ class Output:
         Readers see the former snapshot or this one, whole.
         """
         number = 1 + max((int(path.name) for path in self.snapshots.iterdir() if path.name.isdigit()), default=0)
-        draft = self.state / "staging" / f"snapshot-{number:06d}"
+        draft = self.staging / f"snapshot-{number:06d}"
         target = self.snapshots / f"{number:06d}"
         try:
-            shutil.rmtree(draft, ignore_errors=True)
-            folders = {draft, *((draft / place).parent for place in (*links, *written))}
-            for folder in sorted(folders):
-                folder.mkdir(parents=True, exist_ok=True)
-            for place, source in links.items():
-                _link(source, draft / place)
-            for place, content in written.items():
-                _write_durable(draft / place, content)
-            body = json.dumps({"snapshot": number, **manifest}, sort_keys=True, indent=1, ensure_ascii=False)
-            _write_durable(draft / "manifest.json", body + "\n")
-            for folder in sorted(folders):
-                _fsync(folder)
+            _fill(draft, links, {**written, "manifest.json": _json({"snapshot": number, **manifest})})
             draft.rename(target)
-            _fsync(self.snapshots)
-            pointer = self.root / f".current-{secrets.token_hex(4)}"
-            pointer.symlink_to(Path("snapshots") / target.name)
-            pointer.replace(self.current)
-            _fsync(self.root)
+            fsync(self.snapshots)
+            self.lead_to(target.name)
+            (self.state / "distrust").unlink(missing_ok=True)
         except OSError as problem:
-            raise StorageError(f"{self.root}: cannot publish ({problem}); the earlier results are intact") from None
+            shutil.rmtree(draft, ignore_errors=True)
+            raise StorageError(_not_written(f"{self.root}: the snapshot", problem)) from None
         return target
+
+    def distrust(self) -> None:
+        """Have the next run publish, even what seems to be published already."""
+        (self.state / "distrust").touch()
+
+    def is_distrusted(self) -> bool:
+        """Return whether the published snapshot was found damaged."""
+        return (self.state / "distrust").exists()
+
+    def lead_to(self, snapshot: str) -> None:
+        """Let `current` lead to *snapshot*, in one step."""
+        pointer = self.root / f".current-{secrets.token_hex(4)}"
+        pointer.symlink_to(Path("snapshots") / snapshot)
+        pointer.replace(self.current)
+        fsync(self.root)
 
 
 def make_folder(folder: Path) -> None:
@@ -210,34 +228,48 @@ def described(path: Path) -> dict[str, Any]:
     return about
 
 
-def _holder(note: Path) -> str:
-    try:
-        about = json.loads(note.read_bytes())
-        return f"process {about['pid']} on {about['host']}"
-    except (OSError, ValueError, KeyError):
-        return "holder unknown"
+def _seal(draft: Path, about: Mapping[str, Any]) -> None:
+    """Read back what was written, list it in part.json, and flush files and folders to the disk."""
+    files = {str(path.relative_to(draft)): described(path) for path in sorted(draft.rglob("*")) if path.is_file()}
+    write_durable(draft / "part.json", _json({**about, "files": files}))
+    for name in files:
+        fsync(draft / name)
+    fsync_folders({draft, *((draft / name).parent for name in files)})
 
 
-def _link(source: Path, place: Path) -> None:
-    try:
-        os.link(source, place)
-    except OSError:
-        with suppress(FileNotFoundError):
-            place.unlink()
-        shutil.copyfile(source, place)
+def _fill(draft: Path, links: Mapping[str, Path], written: Mapping[str, str | bytes]) -> None:
+    """Lay out a snapshot: a name for every file, and a durable folder for every name."""
+    folders = {""}
+    for place in (*links, *written):
+        folder = place.rpartition("/")[0]
+        while folder not in folders:
+            folders.add(folder)
+            folder = folder.rpartition("/")[0]
+    for folder in sorted(folders):
+        os.makedirs(f"{draft}/{folder}", exist_ok=True)  # noqa: PTH103 # a path object costs more than the folder
+    for place, source in links.items():
+        link(source, f"{draft}/{place}")
+    for name, content in written.items():
+        write_durable(draft / name, content)
+    fsync_folders({draft / folder for folder in folders})
 
 
-def _write_durable(path: Path, content: str | bytes) -> None:
-    data = content.encode() if isinstance(content, str) else content
-    with path.open("wb") as stream:
-        stream.write(data)
-        stream.flush()
-        os.fsync(stream.fileno())
+def _json(value: Mapping[str, Any]) -> str:
+    """Return *value* as JSON with one line an entry of the first two levels: quick to write, fit to be compared."""
+    lines = []
+    for key in sorted(value):
+        inner = value[key]
+        if isinstance(inner, dict) and inner:
+            rows = (f"  {json.dumps(str(name), ensure_ascii=False)}: {_compact(inner[name])}" for name in sorted(inner))
+            lines.append(f" {json.dumps(key)}: {{\n" + ",\n".join(rows) + "\n }")
+        else:
+            lines.append(f" {json.dumps(key)}: {_compact(inner)}")
+    return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
-def _fsync(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+def _compact(value: Any) -> str:
+    return json.dumps(value, sort_keys=True, ensure_ascii=False)
+
+
+def _not_written(what: str, problem: OSError) -> str:
+    return f"{what} cannot be written ({problem}); what was published before is intact, and a new run goes on from here"

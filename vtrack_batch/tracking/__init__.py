@@ -12,7 +12,8 @@ All detections of a sequence go in; trajectories, smoothed track points and matc
    ``ends``: end links that no brake or engine allows are cut.
 5. ``paths``: Rauch-Tung-Striebel smoothing, one point for each frame between first and last sighting.
 6. ``tables``: state, heading, class by size, reasons for start and end, flags.
-7. ``pairs``: for comparison, chains of plain pair matches.
+7. ``identity``: link probabilities that mean what they say, and with them how sure a path is one vehicle.
+8. ``pairs``: for comparison, chains of plain pair matches.
 
 Because an archive is processed afterwards, a vehicle's future helps to tell where it began: birth, the weak point of
 trackers at 0.25-1 Hz, is no special case.
@@ -22,6 +23,6 @@ Rauch, Tung and Striebel (1965); minimum-cost path cover as in Zhang, Li and Nev
 Multi-Object Tracking Using Network Flows", CVPR 2008.
 
 Assumptions: at most one detection per vehicle and frame; a vehicle may stay unseen for ``coast_s`` or ``coast_frames``.
-``identity_probability`` is null: link probabilities are not yet calibrated. Cost: linear in frames; memory holds one
-sequence.
+``identity_probability`` is that of a path's weakest link, calibrated on simulated traffic; null for methods that are
+not. Cost: linear in frames.
 """

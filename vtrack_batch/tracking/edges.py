@@ -8,18 +8,21 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from vtrack_batch.matching.candidates import candidates
+from vtrack_batch.matching.candidates import Edges, candidates
 from vtrack_batch.matching.colour import Paint
 from vtrack_batch.matching.flow import FlowMap
-from vtrack_batch.matching.match import displacement_density, log_evidence
-from vtrack_batch.matching.neighbours import match_by_neighbours, neighbours_of
+from vtrack_batch.matching.match import bayes_evidence, place_density
+from vtrack_batch.matching.neighbours import neighbours_of
 from vtrack_batch.matching.params import MatchingParams
+from vtrack_batch.matching.score import against_none, link_probabilities
 from vtrack_batch.tracking.motion import States
 from vtrack_batch.tracking.params import TrackingParams
 from vtrack_batch.tracking.sightings import Array, Index, Sightings
 
 KEEP_LOG_ODDS = -6.0
 BOX_SLACK_M = 2.0
+CONTEXT = 0.7  # weight of the learned score beside a vehicle's own motion: they share a part of what they know
+LEAST_KNOWN = 1e-3
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,8 @@ class Links:
     k: Index
     log_alone: Array
     gain: Array
+    log_known: Array
+    """What the learned score adds where a vehicle's own motion is known: it knows neighbours and the place."""
 
     def __len__(self) -> int:
         return len(self.i)
@@ -41,7 +46,7 @@ class Links:
     def above(self, least: float) -> Links:
         """Return the links with a gain of more than *least*."""
         keep = self.gain > least
-        return Links(self.i[keep], self.k[keep], self.log_alone[keep], self.gain[keep])
+        return Links(self.i[keep], self.k[keep], self.log_alone[keep], self.gain[keep], self.log_known[keep])
 
 
 @dataclass(frozen=True)
@@ -73,23 +78,47 @@ def pair_links(
         if a == b or b == c or dt > limit_s:
             continue
         edges = candidates(s.xy[a:b], s.xy[b:c], matching.reach_m(dt), limit=matching.max_candidate_pairs)
+        if flow_map is not None:
+            edges = edges.select(flow_map.possible(s.xy[a + edges.i], s.xy[b + edges.k], dt))
         i, k = edges.i + a, edges.k + b
         colour = None
         if paint is not None and s.rgb is not None:
             colour = paint.log_ratio_given(s.rgb[i], s.rgb[k], 0.5 * (log_colour[i] + log_colour[k]))
-        evidence = log_evidence(edges, colour, dt, matching)
-        prior = displacement_density(edges, dt, matching)
-        if flow_map is not None:
-            weight = matching.neighbours.prior_weight
-            prior = flow_map.mixed(prior, s.xy[i], edges.displacement, dt, prior_weight=weight)
-        neighbours = neighbours_of(edges, s.xy[a:b], s.xy[b:c], elapsed_s=dt, params=matching.neighbours)
-        _, log_odds = match_by_neighbours(edges, neighbours, evidence, prior, matching.neighbours)
+        log_odds, log_alone, log_known = _judged(s, edges, colour, paint, (a, b, c), matching, flow_map)
         keep = log_odds > KEEP_LOG_ODDS
-        found.append((i[keep], k[keep], (log_odds - evidence)[keep], log_odds[keep]))
+        found.append((i[keep], k[keep], log_alone[keep], log_odds[keep], log_known[keep]))
     if not found:
         none = np.zeros(0, np.int64)
-        return Links(none, none, np.zeros(0), np.zeros(0))
+        return Links(none, none, np.zeros(0), np.zeros(0), np.zeros(0))
     return Links(*(np.concatenate(part) for part in zip(*found, strict=True)))
+
+
+def _judged(
+    s: Sightings,
+    edges: Edges,
+    log_colour: Array | None,
+    paint: Paint | None,
+    rows: tuple[int, int, int],
+    matching: MatchingParams,
+    flow_map: FlowMap | None,
+) -> tuple[Array, Array, Array]:
+    """Return the log-odds (e,) of edges between two frames against a break, and what of them is motion (1/m2).
+
+    By the learned score, unless the method is ``untrained``; the score is told apart into colour and the rest, so that
+    colours can be judged again when more of a vehicle is known.
+    """
+    a, b, c = rows
+    earlier_xy, later_xy = s.xy[a:b], s.xy[b:c]
+    dt = float(s.t[b] - s.t[a])
+    neighbours = neighbours_of(edges, earlier_xy, later_xy, elapsed_s=dt, params=matching.neighbours)
+    prior = place_density(edges, earlier_xy, dt, matching, flow_map)
+    colour = matching.colour if paint is None else paint.params
+    evidence = bayes_evidence(edges, neighbours, prior, log_colour, dt, matching, colour)
+    log_odds, log_known = evidence.log_odds, np.zeros(len(edges))
+    if matching.method != "untrained":
+        p = link_probabilities(edges, evidence, earlier_xy, later_xy, elapsed_s=dt, flow_map=flow_map)
+        log_odds, log_known = against_none(edges, p), CONTEXT * np.log(np.maximum(p, LEAST_KNOWN))
+    return log_odds, log_odds - evidence.log_odds + evidence.log_prior, log_known
 
 
 def gated_links(

@@ -67,7 +67,7 @@ def link(s: Sightings, matching: MatchingParams, params: TrackingParams, flow_ma
         sample = pair_links(s, scene.paint, scene.log_colour, matching, limit_s, every=every, flow_map=flow_map)
         scene = _relearned(scene, _chains(len(s), sample), SURE_PAIR)
     pairs = pair_links(s, scene.paint, scene.log_colour, matching, limit_s, flow_map=flow_map)
-    pairs = _scored(scene, pairs.i, pairs.k, pairs.log_alone)
+    pairs = _scored(scene, pairs.i, pairs.k, pairs.log_alone, pairs.log_known)
     chains = _chains(len(s), pairs)
     pairs = pairs.above(HOPELESS)
     for _ in range(params.link.rounds):
@@ -111,15 +111,18 @@ def _links(scene: Scene, pairs: Links, chains: Chains) -> Links:
     i, k = gated_links(s, forward, backward, OpenEnds(open_after, open_before), scene.limit_s, params)
     key = np.concatenate([pairs.i * len(s) + pairs.k, i * len(s) + k])
     log_alone = np.concatenate([pairs.log_alone, np.full(len(i), -np.inf)])
+    # successive sightings that the score of pairs has dropped are hopeless by it; of gaps it knows nothing
+    unasked = np.where(s.frame[k] == s.frame[i] + 1, pairs.log_known.min(initial=0.0), 0.0)
+    log_known = np.concatenate([pairs.log_known, unasked])
     key, at = np.unique(key, return_index=True)
-    i, k, log_alone = key // len(s), key % len(s), log_alone[at]
+    i, k, log_alone, log_known = key // len(s), key % len(s), log_alone[at], log_known[at]
     # where the neighbours were not asked: anywhere in reach
     reach = scene.matching.max_speed_mps * (s.t[k] - s.t[i])
     log_alone = np.where(np.isfinite(log_alone), log_alone, -2 * np.log(2 * np.maximum(reach, 2.0)))
-    return _scored(scene, i, k, log_alone)
+    return _scored(scene, i, k, log_alone, log_known)
 
 
-def _scored(scene: Scene, i: Index, k: Index, log_alone: Array) -> Links:
+def _scored(scene: Scene, i: Index, k: Index, log_alone: Array, log_known: Array) -> Links:
     """Score possible links by their past and their future."""
     s, motion, prior = scene.s, scene.params.motion, scene.params.link
     missed = s.frame[k] - s.frame[i] - 1
@@ -129,8 +132,8 @@ def _scored(scene: Scene, i: Index, k: Index, log_alone: Array) -> Links:
     graph = Graph(
         i=i,
         k=k,
-        log_alone=log_alone,
-        log_odds=log_odds,
+        log_alone=log_alone - log_known,  # a vehicle without past or future has no more than the score already says
+        log_odds=log_odds + log_known,
         t=s.t,
         xy=s.xy,
         variance=s.sigma_m**2,
@@ -142,7 +145,7 @@ def _scored(scene: Scene, i: Index, k: Index, log_alone: Array) -> Links:
              prior.memory_sightings - 1]
         ),
     )  # fmt: skip
-    return Links(i, k, log_alone, link_gains(graph))
+    return Links(i, k, log_alone, link_gains(graph), log_known)
 
 
 def _chains(n: int, links: Links) -> Chains:

@@ -28,11 +28,35 @@ class LinkParams(Params):
     break_share: float = Field(0.05, gt=0, lt=1, description="prior share of sightings that begin, or end, a track")
     sure: float = Field(0.9999, gt=0, lt=1, description="a link of this probability is not asked to compete with gaps")
     trust: float = Field(0.995, gt=0, lt=1, description="belief in a chain's own motion, at most")
-    rounds: int = Field(2, ge=1, description="rounds of linking, each with the velocities of the one before")
+    rounds: int = Field(3, ge=1, description="rounds of linking, each with the velocities of the one before")
     max_end_accel_mps2: float = Field(
         6.0, gt=0, description="the first and the last link of a chain never ask for more than this, beyond noise"
     )
     memory_sightings: int = Field(8, ge=1, description="mean colours count for at most this many sightings")
+
+
+class RegionTrackParams(Params):
+    """Constants of region tracking (Badenas et al.): constant-jerk filters and the master list."""
+
+    snap_density: float = Field(10.0, gt=0, description="[Q] spectral density of the change of jerk, m2/s7")
+    start_speed_mps: float = Field(10.0, gt=0, description="spread of a new region's velocity if none was measured")
+    start_accel_mps2: float = Field(1.5, gt=0, description="spread of a new region's acceleration, per axis")
+    start_jerk_mps3: float = Field(1.0, gt=0, description="spread of a new region's jerk, per axis")
+    speed_sigma_mps: float = Field(1.0, gt=0, description="[R] spread of measured velocities, per axis")
+    grey_gain: float = Field(0.3, gt=0, le=1, description="share of the newest grey in the running mean")
+    clamp_sigmas: float = Field(2.0, gt=0, description="measurements count as off by at most this")
+    gate_sigmas: float = Field(5.0, gt=0, description="[epsilon] partners are sought within this of the prediction")
+    gate_max_m: float = Field(60.0, gt=0, description="[epsilon] and never farther than this")
+    forget_s: float = Field(0.6, ge=0, description="a region unmatched for longer leaves the list")
+    forget_frames: int = Field(3, ge=0, description="but never before this many frames")
+
+
+class WindowParams(Params):
+    """How long sequences are divided."""
+
+    window_sightings: int = Field(150_000, ge=1000, description="a longer sequence is linked in windows of this size")
+    context_frames: int = Field(40, ge=1, description="frames on both sides of a window that are looked at; or twice "
+                                "the time a vehicle may stay unseen, if that is more")  # fmt: skip
 
 
 class TrackingParams(Params):
@@ -40,6 +64,8 @@ class TrackingParams(Params):
 
     motion: MotionParams = Field(MotionParams(), description="motion and measurement")
     link: LinkParams = Field(LinkParams(), description="linking")
+    regions: RegionTrackParams = Field(RegionTrackParams(), description="region tracking")
+    windows: WindowParams = Field(WindowParams(), description="windows of long sequences")
     min_sightings: int = Field(2, ge=1, description="tracks with fewer sightings are no trajectories")
     few_points: int = Field(4, ge=1, description="tracks with fewer sightings are flagged FEW_POINTS")
     stop_speed_mps: float = Field(0.8, gt=0, description="slower is standing")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from vtrack_batch.errors import UnusableData
-from vtrack_batch.matching.vehicles import COLOUR, check
+from vtrack_batch.matching.vehicles import COLOUR, VELOCITY, check, refuse_heaps
 from vtrack_batch.model.views import Views
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+KEPT = ("detection_id", "length_m", "width_m", *VELOCITY)
 HULL_MARGIN_M = 2.0
 DENSITY_RADIUS_M = 40.0
 
@@ -26,7 +27,7 @@ class Sightings:
 
     ``frame`` (n,) int64 counts all frames of the sequence, with detections or not; ``frame_s`` (f,) are their times in
     seconds since ``start``; ``first`` (f + 1,) the first sighting of each; ``xy`` (n, 2) metres; ``sigma_m`` (n,) the
-    spread of positions; ``rgb`` (n, 3) or None; ``rows`` the other columns; ``border`` (f, c, 2) footprints.
+    spread of positions; ``rgb`` (n, 3) or None; ``rows`` ids, sizes and velocities; ``border`` (f, c, 2) footprints.
     """
 
     sequence: str
@@ -84,21 +85,69 @@ def sightings_of(rows: pd.DataFrame, sequence: str, views: Views | None, positio
         raise UnusableData(f"sequence {sequence}: detections at times at which no frame was taken")
     if len(frame_t) > 1 and not (np.diff(frame_t) > np.timedelta64(0)).all():
         raise UnusableData(f"sequence {sequence}: the times of its frames do not increase")
-    frame = np.searchsorted(frame_t, times)
+    frame = np.searchsorted(frame_t, times).astype(np.int64)
+    refuse_heaps(xy, frame, f"sequence {sequence}")
     registered = np.zeros(len(frame_t)) if views is None else np.nan_to_num(views.position_sigma_m)
     border = np.broadcast_to(_hull(xy), (len(frame_t), *_hull(xy).shape)) if views is None else views.corners_m
     rgb = rows[COLOUR].to_numpy(float) if set(COLOUR) <= set(rows.columns) else None
     return Sightings(
         sequence=sequence,
         start=pd.Timestamp(frame_t[0], tz="UTC") if len(frame_t) else pd.Timestamp(0, tz="UTC"),
-        rows=rows,
-        frame=frame.astype(np.int64),
+        rows=rows[[name for name in KEPT if name in rows.columns]],
+        frame=frame,
         frame_s=(frame_t - frame_t[:1]) / np.timedelta64(1, "s"),
         first=np.searchsorted(frame, np.arange(len(frame_t) + 1)).astype(np.int64),
         xy=xy,
         sigma_m=np.hypot(position_sigma_m, registered[frame]),
         rgb=rgb,
         border=np.asarray(border, float),
+    )
+
+
+def picked(s: Sightings, rows: NDArray[np.bool_] | slice) -> Sightings:
+    """Return some of the sightings, in their order; frames and their numbers stay."""
+    frame = s.frame[rows]
+    return replace(
+        s,
+        rows=s.rows.iloc[rows].reset_index(drop=True),
+        frame=frame,
+        first=np.searchsorted(frame, np.arange(len(s.frame_s) + 1)).astype(np.int64),
+        xy=s.xy[rows],
+        sigma_m=s.sigma_m[rows],
+        rgb=None if s.rgb is None else s.rgb[rows],
+    )
+
+
+def of_frames(s: Sightings, low: int, high: int) -> Sightings:
+    """Return the sightings of the frames *low* to *high*, counted from *low*; seconds stay."""
+    if (low, high) == (0, len(s.frame_s)):
+        return s
+    rows = slice(int(s.first[low]), int(s.first[high]))
+    part = picked(s, rows)
+    return replace(
+        part,
+        frame=part.frame - low,
+        frame_s=s.frame_s[low:high],
+        first=s.first[low : high + 1] - rows.start,
+        border=s.border[low:high],
+    )
+
+
+def in_succession(s: Sightings, later: Sightings) -> Sightings:
+    """Return the sightings of *s* and of frames that come behind its own; footprints have as many corners in both."""
+    frame = np.concatenate([s.frame, later.frame + len(s.frame_s)])
+    frame_s = np.concatenate([s.frame_s, later.frame_s + (later.start - s.start).total_seconds()])
+    coloured = s.rgb is not None and later.rgb is not None
+    return replace(
+        s,
+        rows=pd.concat([s.rows, later.rows], ignore_index=True),
+        frame=frame,
+        frame_s=frame_s,
+        first=np.searchsorted(frame, np.arange(len(frame_s) + 1)).astype(np.int64),
+        xy=np.concatenate([s.xy, later.xy]),
+        sigma_m=np.concatenate([s.sigma_m, later.sigma_m]),
+        rgb=np.concatenate([s.rgb, later.rgb]) if coloured else None,
+        border=np.concatenate([s.border, later.border]),
     )
 
 

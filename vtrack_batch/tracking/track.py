@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import pandas as pd
@@ -13,13 +13,17 @@ from vtrack_batch.matching.params import MatchingParams
 from vtrack_batch.model.views import Views
 from vtrack_batch.tracking import tables
 from vtrack_batch.tracking.ends import cut_impossible_ends
-from vtrack_batch.tracking.link import link
+from vtrack_batch.tracking.identity import calibrated, identity_probability
+from vtrack_batch.tracking.link import Chains, link
 from vtrack_batch.tracking.pairs import chain_pairs
 from vtrack_batch.tracking.params import TrackingParams
 from vtrack_batch.tracking.paths import paths_of
+from vtrack_batch.tracking.regions import chain_regions
 from vtrack_batch.tracking.sightings import Sightings, read_detections, sightings_of
+from vtrack_batch.tracking.windows import linked_in_windows
 
 CHAINED = ("default", "untrained")
+REGIONS = "regions"
 PAIRWISE = ("original", "colour", "opposite", "proposed", "assignment", "nearest")
 
 
@@ -51,7 +55,7 @@ def track(
     """
     matching, params = matching or MatchingParams(), params or TrackingParams()
     chosen = matching.method if method == "default" else method
-    if chosen not in (*CHAINED, *PAIRWISE):
+    if chosen not in (*CHAINED, REGIONS, *PAIRWISE):
         raise ConfigError(f"tracking method {method!r} is unknown")
     checked = read_detections(detections)
     found = [
@@ -65,24 +69,56 @@ def track(
         for name, rows in checked.groupby("sequence", sort=True, observed=True)
     ]
     found = found or [_track_sequence(sightings_of(checked, "all", None, 1.0), chosen, flow_map, matching, params)]
-    return Tracks(
-        _joined([f.track_points for f in found], ["vehicle_id", "t_utc"]),
-        _joined([f.trajectories for f in found], ["vehicle_id"]),
-        _joined([f.matches for f in found], ["match_id"]),
-    )
+    return joined(found)
 
 
 def _track_sequence(
     s: Sightings, method: str, flow_map: FlowMap | None, matching: MatchingParams, params: TrackingParams
 ) -> Tracks:
+    return joined(list(track_runs([s], method, flow_map, matching, params)))
+
+
+def track_runs(
+    runs: Iterable[Sightings], method: str, flow_map: FlowMap | None, matching: MatchingParams, params: TrackingParams
+) -> Iterator[Tracks]:
+    """Yield the tracks of one sequence that comes in *runs* of successive frames, as they end."""
+
+    def linked(s: Sightings) -> Chains:
+        return chains_of(s, method, flow_map, matching, params)
+
+    # regions are followed by what was, however long ago: cheap, so a window may hold any number of them
+    windows = params.windows.model_copy(update={"window_sightings": 10**12}) if method == REGIONS else params.windows
+    for s, chains in linked_in_windows(runs, linked, windows, params.link.coast_s):
+        paths = paths_of(s, chains, params)
+        found = tables.trajectories(s, paths, params)
+        if method in CHAINED:
+            by_id = pd.Series(identity_probability(chains, paths), index=tables.vehicle_ids(s, paths), dtype=float)
+            found["identity_probability"] = found["vehicle_id"].map(by_id).astype(float)
+        yield Tracks(
+            tables.track_points(s, paths, params),
+            found,
+            tables.matches(s, chains, method),
+        )
+
+
+def chains_of(
+    s: Sightings, method: str, flow_map: FlowMap | None, matching: MatchingParams, params: TrackingParams
+) -> Chains:
+    """Return the chains that *method* makes of the sightings of a sequence, or of a window of it."""
     if method in CHAINED:
-        chains = link(s, matching, params, flow_map)
-        chains = cut_impossible_ends(s, chains, max_accel_mps2=params.link.max_end_accel_mps2)
-    else:
-        chains = chain_pairs(s, method, matching, flow_map)
-    paths = paths_of(s, chains, params)
+        chains = calibrated(link(s, matching.model_copy(update={"method": method}), params, flow_map))
+        return cut_impossible_ends(s, chains, max_accel_mps2=params.link.max_end_accel_mps2)
+    if method == REGIONS:
+        return chain_regions(s, matching.regions, params)
+    return chain_pairs(s, method, matching, flow_map)
+
+
+def joined(parts: list[Tracks]) -> Tracks:
+    """Return one set of tables, in the order of their keys."""
     return Tracks(
-        tables.track_points(s, paths, params), tables.trajectories(s, paths, params), tables.matches(s, chains, method)
+        _joined([p.track_points for p in parts], ["vehicle_id", "t_utc"]),
+        _joined([p.trajectories for p in parts], ["vehicle_id"]),
+        _joined([p.matches for p in parts], ["match_id"]),
     )
 
 

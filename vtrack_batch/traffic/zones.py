@@ -6,6 +6,7 @@ has zones in its local metres, as has any file that says ``"vtrack_coordinates":
 
 from __future__ import annotations
 
+import difflib
 import json
 import re
 from collections.abc import Callable, Sequence
@@ -33,6 +34,7 @@ _SHAPES = {
 _RESERVED = ("unknown", "parked", "all")
 _NUMBERS = ("width_m", "length_m")
 _CHOICES = {"inward": ("left", "right"), "traffic": ("in", "out", "both")}
+_KNOWN = ("id", "name", "role", "junction", "junction_centre_m", *_NUMBERS, *_CHOICES)
 _ROUNDED_DEG, _ROUNDED_M = 7, 3
 Transform = Callable[[np.ndarray], np.ndarray]
 
@@ -61,6 +63,17 @@ def parse_zones(text: str, *, crs: str | None, source: str) -> list[Zone]:
     if problems:
         raise ConfigError("\n".join(problems))
     return zones
+
+
+def doubtful_properties(zones: Sequence[Zone]) -> list[str]:
+    """Return a line for each property that is none of ours but looks like one misspelt; others may stand."""
+    lines = []
+    for zone in zones:
+        for key in zone.properties:
+            near = difflib.get_close_matches(key.lower(), _KNOWN, n=1, cutoff=0.75) if key not in _KNOWN else []
+            if near and near[0] not in zone.properties:
+                lines.append(f'zone {zone.id}: the property "{key}" is not read; did you mean "{near[0]}"?')
+    return lines
 
 
 def zones_to_geojson(zones: Sequence[Zone], crs: str | None) -> dict[str, Any]:

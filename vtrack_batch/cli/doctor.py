@@ -1,0 +1,44 @@
+"""``vtrack-batch doctor``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from vtrack_batch.cli import options
+
+TROUBLE = 73
+
+
+@click.command("doctor", short_help="Show versions, limits, disk, permissions and clock, and what will give trouble.")
+@click.argument("survey_yaml", type=click.Path(path_type=Path), required=False)
+@options.out_folder
+@options.as_json
+@options.quiet
+@options.verbose
+def command(survey_yaml: Path | None, out: Path | None, as_json: bool, quiet: bool, verbose: bool) -> int:
+    """\b
+    Examples:
+      vtrack-batch doctor
+      vtrack-batch doctor survey.yaml --json
+
+    Show versions, limits, disk, permissions and clock, and what will give trouble (exit 73 if something will): paste
+    it into a report of trouble.
+    """
+    from vtrack_batch.pipeline.doctor import examine
+
+    found = examine(options.load(survey_yaml, out) if survey_yaml is not None else None)
+    problems = [f"{one.name}: {one.problem}" for one in found if one.problem]
+    lines = []
+    for one in found:
+        value = one.value
+        lines.append(
+            f"{one.name}: "
+            + (", ".join(f"{k} {v}" for k, v in value.items()) if isinstance(value, dict) else str(value))
+        )
+    if not quiet or problems:
+        value = {**{one.name: one.value for one in found}, "problems": problems}
+        lines += [f"problem: {text}" for text in problems] or ["no problems found"]
+        options.answer(value, "\n".join(lines), as_json=as_json)
+    return TROUBLE if problems else 0

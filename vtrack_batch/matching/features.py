@@ -1,0 +1,265 @@
+"""What is known about a possible link, as numbers that mean the same at every place, interval and noise.
+
+Lengths are in metres and speeds in m/s; nothing depends on where north is or on which image is called the earlier one,
+but for the flow map, which knows the sense of time. A value of ``UNKNOWN`` says: there is no colour, or no map, or no
+neighbour. The trees of ``score`` are trained on these columns, in this order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from vtrack_batch.matching.candidates import Array, Edges, Index, pairs_within
+from vtrack_batch.matching.flow import FlowMap
+
+UNKNOWN = -99.0
+STILL_M = 2.0  # displacements below this have no direction
+NEAR_M = 90.0  # neighbours farther than this are not asked
+SCALES = np.array([[15.0, 3.0], [60.0, 8.0]])  # of place, along and across the motion (Gaussian sigma)
+LANE_M, GAP_M = 2.2, 3.5  # vehicles of one lane: so near across; so far apart at least along
+
+BASE = (
+    "elapsed_s", "length_m", "speed_mps", "log_density", "spacing_m", "log_odds", "log_colour", "log_prior", "rival",
+    "rival_other", "share", "map_1", "map_8", "map_24", "map_start", "map_end", "map_forward", "map_forward_wide",
+    "map_backward", "map_backward_wide", "log_map", "light", "chroma", "matched", "jitter_m",
+)  # fmt: skip
+HEARD = (
+    "near_weight", "near_along", "near_across", "near_votes", "near_votes_wide", "mid_weight", "mid_along",
+    "mid_across", "mid_votes", "mid_votes_wide", "lane_broken", "lane_kept", "lane_broken_one",
+)  # fmt: skip
+OWN = ("logit", "logit_rival", "logit_rival_other", "logit_share")
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What Bayes' rule made of every edge, before anything learned: all (e,).
+
+    ``log_odds`` against no match, ``log_colour`` the likelihood ratio of colours or None, ``log_prior`` the log density
+    of the displacement with neighbours heard and ``log_density`` that of vehicles (both 1/m2). ``light`` and ``chroma``
+    are how noisy colours were found to be.
+    """
+
+    log_odds: Array
+    log_colour: Array | None
+    log_prior: Array
+    log_density: Array
+    light: float
+    chroma: float
+
+    def select(self, keep: Index) -> Evidence:
+        """Return the evidence of the edges *keep*."""
+        colour = None if self.log_colour is None else self.log_colour[keep]
+        return Evidence(
+            self.log_odds[keep], colour, self.log_prior[keep], self.log_density[keep], self.light, self.chroma
+        )
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """Who is near whom in both images: found once, asked in every round."""
+
+    earlier: tuple[Index, Index]
+    later: tuple[Index, Index]
+    spacing: Array
+
+    @classmethod
+    def of(cls, earlier_xy: Array, later_xy: Array) -> Surroundings:
+        """Find the neighbours of points (n, 2) and (m, 2)."""
+        found, spacing = [], []
+        for xy in (earlier_xy, later_xy):
+            a, b = pairs_within(xy, xy, NEAR_M, p=2, limit=50_000_000)
+            a, b = a[a != b], b[a != b]
+            found.append((np.searchsorted(a, np.arange(len(xy) + 1)), b))
+            nearest = np.full(len(xy), NEAR_M)
+            np.minimum.at(nearest, a, np.hypot(*(xy[a] - xy[b]).T))
+            spacing.append(nearest)
+        return cls(found[0], found[1], np.concatenate(spacing))
+
+
+def base_features(
+    edges: Edges,
+    evidence: Evidence,
+    around: Surroundings,
+    earlier_xy: Array,
+    later_xy: Array,
+    *,
+    elapsed_s: float,
+    flow_map: FlowMap | None,
+) -> Array:
+    """Return the columns ``BASE`` (e, f) of the edges."""
+    length = np.hypot(*edges.displacement.T)
+    spacing = np.minimum(around.spacing[edges.i], around.spacing[edges.n + edges.k])
+    odds = np.exp(np.clip(evidence.log_odds, -30, 30))
+    share = odds / (1 + _sum_of_ends(edges, odds) - odds)
+    best_i, best_k = np.zeros(edges.n), np.zeros(edges.m)
+    np.maximum.at(best_i, edges.i, share)
+    np.maximum.at(best_k, edges.k, share)
+    matched = 0.5 * float(best_i.sum() + best_k.sum()) / max(1, min(edges.n, edges.m))
+    heard = _heard_by_all(edges, share, around, earlier_xy, later_xy, elapsed_s)
+    sure = (share > 0.9) & (length > STILL_M) & (heard[:, 5] > 1)
+    jitter = float(np.median(np.abs(heard[sure, 7]))) * elapsed_s if sure.sum() >= 5 else UNKNOWN
+    constant = (elapsed_s, evidence.light, evidence.chroma, matched, jitter)
+    t, light, chroma, matched_all, jitter_all = (np.full(len(length), value) for value in constant)
+    colour = np.full(len(length), UNKNOWN) if evidence.log_colour is None else evidence.log_colour
+    columns = [t, length, length / elapsed_s, evidence.log_density, spacing, evidence.log_odds, colour]
+    columns += [evidence.log_prior - evidence.log_density, *_rivals(edges, evidence.log_odds), np.log(share + 1e-9)]
+    columns += [*_map_features(edges, flow_map, earlier_xy, later_xy, elapsed_s).T]
+    return np.column_stack([*columns, light, chroma, matched_all, jitter_all])
+
+
+def heard_features(
+    edges: Edges, p: Array, around: Surroundings, earlier_xy: Array, later_xy: Array, *, elapsed_s: float
+) -> Array:
+    """Return the columns ``HEARD`` (e, f): what neighbours say, each of their edges with its probability *p* (e,)."""
+    return _heard_by_all(edges, p, around, earlier_xy, later_xy, elapsed_s)
+
+
+def own_features(edges: Edges, p: Array) -> Array:
+    """Return the columns ``OWN`` (e, f): the probability of the round before and that of the best rivals."""
+    p = np.clip(p, 1e-6, 1 - 1e-6)
+    logit = np.log(p / (1 - p))
+    left = _sum_of_ends(edges, p) - 2 * p
+    return np.column_stack([logit, *_rivals(edges, logit), left])
+
+
+def shares(edges: Edges, log_odds: Array) -> Array:
+    """Return the probability (e,) of every edge against no match and all rivals at both of its ends."""
+    odds = np.exp(np.clip(log_odds, -30, 30))
+    return np.asarray(odds / (1 + _sum_of_ends(edges, odds) - odds))
+
+
+def _sum_of_ends(edges: Edges, values: Array) -> Array:
+    """Sum over all edges of i plus sum over all edges of k; an edge itself counts in both."""
+    of_i = np.bincount(edges.i, weights=values, minlength=edges.n)
+    of_k = np.bincount(edges.k, weights=values, minlength=edges.m)
+    return np.asarray(of_i[edges.i] + of_k[edges.k])
+
+
+def _rivals(edges: Edges, value: Array) -> tuple[Array, Array]:
+    """Return by how much each edge is above its best rival at either end: the lesser lead, then the greater."""
+    at_i, at_k = value - _best_other(edges.i, value), value - _best_other(edges.k, value)
+    return np.minimum(at_i, at_k), np.maximum(at_i, at_k)
+
+
+@njit(cache=True, nogil=True)
+def _best_other(owner, value):  # type: ignore[no-untyped-def]
+    size = owner.max() + 1 if len(owner) else 0
+    best, second = np.full(size, -30.0), np.full(size, -30.0)
+    for e in range(len(owner)):
+        i = owner[e]
+        if value[e] > best[i]:
+            best[i], second[i] = value[e], best[i]
+        elif value[e] > second[i]:
+            second[i] = value[e]
+    out = np.empty(len(owner))
+    for e in range(len(owner)):
+        i = owner[e]
+        out[e] = second[i] if value[e] == best[i] else best[i]
+    return out
+
+
+def _map_features(
+    edges: Edges, flow_map: FlowMap | None, earlier_xy: Array, later_xy: Array, elapsed_s: float
+) -> Array:
+    if flow_map is None or not len(flow_map.xy) or not len(edges):
+        return np.full((len(edges), 10), UNKNOWN)
+    return flow_map.evidence(earlier_xy[edges.i], later_xy[edges.k], elapsed_s)
+
+
+def _heard_by_all(
+    edges: Edges, p: Array, around: Surroundings, earlier_xy: Array, later_xy: Array, elapsed_s: float
+) -> Array:
+    d, order = edges.displacement, np.argsort(edges.k, kind="stable")
+    spread = np.array([0.5 + 0.35 * elapsed_s, 0.7 + 1.4 * elapsed_s])
+    a = _hear(edges.i, d, p, edges.first, *around.earlier, earlier_xy, SCALES, spread)
+    by_k, first_k = edges.k[order], np.searchsorted(edges.k[order], np.arange(edges.m + 1))
+    b = np.empty_like(a)
+    # seen from the later image time runs backward
+    b[order] = _hear(by_k, -d[order], p[order], first_k, *around.later, later_xy, SCALES, spread)
+    out = np.empty((len(d), len(HEARD)))
+    for s in range(len(SCALES)):
+        at = 5 * s
+        weight = a[:, at] + b[:, at]
+        known = weight > 1e-3
+        out[:, at] = weight
+        for c in (1, 2):
+            moment = a[:, at + c] + b[:, at + c]
+            out[:, at + c] = np.where(known, moment / np.maximum(weight, 1e-3) / elapsed_s, UNKNOWN)
+        for c in (3, 4):
+            out[:, at + c] = np.log((a[:, at + c] + b[:, at + c] + 0.05) / (weight + 0.5))
+    out[:, 10:] = np.column_stack([a[:, 10] + b[:, 10], a[:, 11] + b[:, 11], np.maximum(a[:, 12], b[:, 12])])
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _hear(owner, d, p, first, near_start, near, xy, scales, spread):  # type: ignore[no-untyped-def]
+    """Sum over the edges of neighbours: weight, residual along and across, votes narrow and wide, per scale; lanes."""
+    out, place = np.zeros((len(owner), 13)), np.zeros(len(scales))
+    alive, voice = _alive(p, first)
+    for e in range(len(owner)):
+        i = owner[e]
+        length = np.hypot(d[e, 0], d[e, 1])
+        still = length <= STILL_M
+        ux, uy = (1.0, 0.0) if still else (d[e, 0] / length, d[e, 1] / length)
+        for s in range(near_start[i], near_start[i + 1]):
+            j = near[s]
+            if alive[j] == alive[j + 1]:
+                continue
+            rx, ry = xy[j, 0] - xy[i, 0], xy[j, 1] - xy[i, 1]
+            u, v = rx * ux + ry * uy, rx * uy - ry * ux
+            in_lane = not still and abs(v) < LANE_M and abs(u) < 40
+            heard = False
+            for c in range(len(scales)):
+                if still:
+                    z = (rx * rx + ry * ry) / (0.5 * scales[c, 0]) ** 2
+                else:
+                    z = (u / scales[c, 0]) ** 2 + (v / scales[c, 1]) ** 2
+                place[c] = 0.0 if z > 9 else np.exp(-0.5 * z)
+                heard = heard or z <= 9
+            if not (heard or in_lane):
+                continue
+            broken, kept = 0.0, 0.0
+            for a in range(alive[j], alive[j + 1]):
+                f = voice[a]
+                dx, dy = d[f, 0] - d[e, 0], d[f, 1] - d[e, 1]
+                along, across = dx * ux + dy * uy, dx * uy - dy * ux
+                if still:
+                    along, across = np.hypot(dx, dy), 0.0
+                if heard:
+                    square = dx * dx + dy * dy
+                    # beyond ten standard deviations there is nothing to add
+                    narrow = np.exp(-0.5 * square / spread[0] ** 2) if square < 100 * spread[0] ** 2 else 0.0
+                    wide = np.exp(-0.5 * square / spread[1] ** 2) if square < 100 * spread[1] ** 2 else 0.0
+                    for c in range(len(scales)):
+                        w = p[f] * place[c]
+                        out[e, 5 * c] += w
+                        out[e, 5 * c + 1] += w * along
+                        out[e, 5 * c + 2] += w * across
+                        out[e, 5 * c + 3] += w * narrow
+                        out[e, 5 * c + 4] += w * wide
+                if in_lane and abs(v + across) < LANE_M:
+                    after = u + along
+                    if after * u < 0 or abs(after) < GAP_M:
+                        broken += p[f]
+                    else:
+                        kept += p[f]
+            out[e, 10] += broken
+            out[e, 11] += kept
+            out[e, 12] = max(out[e, 12], broken)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _alive(p, first):  # type: ignore[no-untyped-def]
+    """Return the edges of each owner that are not hopeless: start (n + 1,) and edge numbers."""
+    start, voice, at = np.zeros(len(first), np.int64), np.empty(len(p), np.int64), 0
+    for j in range(len(first) - 1):
+        for f in range(first[j], first[j + 1]):
+            if p[f] >= 1e-3:
+                voice[at] = f
+                at += 1
+        start[j + 1] = at
+    return start, voice

@@ -1,0 +1,158 @@
+"""The learned score of a link: gradient-boosted trees over ``features``, in rounds of neighbour support.
+
+Round one judges every edge by what Bayes' rule made of it, by the flow map, and by neighbours as Bayes' rule has them.
+Each further round hears the neighbours again, now with the probabilities of the round before, and knows the rivals'.
+The outcome is a probability, calibrated on layouts and noise that the trees have not seen; see ``models/README.md``.
+
+A model is a text file: JSON with the names of the columns and, per round, trees as lists of nodes. This is the
+chapter's one file that reads files: those that come with the package.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from vtrack_batch.errors import UnusableData
+from vtrack_batch.matching.candidates import Array, Edges, Index
+from vtrack_batch.matching.features import (
+    BASE,
+    HEARD,
+    OWN,
+    Evidence,
+    Surroundings,
+    base_features,
+    heard_features,
+    own_features,
+    shares,
+)
+from vtrack_batch.matching.flow import FlowMap
+from vtrack_batch.matching.relaxation import Labels
+
+FORMAT = "vtrack-batch trees 1"
+DEFAULT = "default.json"
+KEEP_LOG_ODDS = -6.0  # edges that Bayes' rule gives less are not scored
+HOPELESS = 1e-6  # their probability
+LEAST_NONE = 0.01  # probability of no match is taken as at least this where odds are asked for
+
+
+@dataclass(frozen=True)
+class Trees:
+    """Decision trees laid end to end: node t goes left where column ``column[t]`` <= ``threshold[t]``.
+
+    ``left`` and ``right`` are node numbers; a leaf has column -1 and its value in ``threshold``. ``root`` (trees,).
+    """
+
+    root: Index
+    column: Index
+    threshold: Array
+    left: Index
+    right: Index
+
+    def probability(self, x: Array) -> Array:
+        """Return the probability (e,) of every row of *x* (e, columns)."""
+        nodes = self.column, self.threshold, self.left, self.right
+        return np.asarray(1 / (1 + np.exp(-_sums(np.ascontiguousarray(x), self.root, *nodes))))
+
+
+@dataclass(frozen=True)
+class Model:
+    """Trees for every round; later rounds have the columns ``OWN`` too."""
+
+    rounds: tuple[Trees, ...]
+
+    @classmethod
+    def parse(cls, text: str, name: str) -> Model:
+        """Read a model from its text; raises ``UnusableData`` where it is of another kind or version."""
+        try:
+            content = json.loads(text)
+            known = content["format"], content["columns"]
+            rounds = tuple(_trees(trees) for trees in content["rounds"])
+        except (json.JSONDecodeError, KeyError, TypeError, ValueError) as reason:
+            raise UnusableData(f"{name} is no model of links: {reason}") from reason
+        if known != (FORMAT, [*BASE, *HEARD, *OWN]):
+            raise UnusableData(f"{name} was made for other columns, or another version: {known[0]!r}, not {FORMAT!r}")
+        return cls(rounds)
+
+
+@cache
+def shipped_model(name: str = DEFAULT) -> Model:
+    """Return a model that comes with the package."""
+    return Model.parse((files("vtrack_batch.matching") / "models" / name).read_text(encoding="utf-8"), name)
+
+
+def link_probabilities(
+    edges: Edges,
+    evidence: Evidence,
+    earlier_xy: Array,
+    later_xy: Array,
+    *,
+    elapsed_s: float,
+    flow_map: FlowMap | None = None,
+    model: Model | None = None,
+) -> Array:
+    """Return the calibrated probability (e,) of every edge that both ends are one vehicle; points (n, 2), (m, 2)."""
+    p = np.full(len(edges), HOPELESS)
+    keep = np.flatnonzero(evidence.log_odds > KEEP_LOG_ODDS)
+    if len(keep):
+        kept, of_kept = edges.select(keep), evidence.select(keep)
+        around = Surroundings.of(earlier_xy, later_xy)
+        xy = earlier_xy, later_xy
+        base = base_features(kept, of_kept, around, *xy, elapsed_s=elapsed_s, flow_map=flow_map)
+        found = shares(kept, of_kept.log_odds)
+        for number, trees in enumerate((model or shipped_model()).rounds):
+            heard = heard_features(kept, found, around, *xy, elapsed_s=elapsed_s)
+            own = [own_features(kept, found)] if number else []
+            found = trees.probability(np.column_stack([base, heard, *own]))
+        p[keep] = np.clip(found, HOPELESS, 1 - HOPELESS)
+    return p
+
+
+def labels_of(edges: Edges, p: Array) -> Labels:
+    """Return probabilities (e,) of edges as labels of both images; what is left is no match."""
+    sum_i = np.bincount(edges.i, weights=p, minlength=edges.n)
+    sum_k = np.bincount(edges.k, weights=p, minlength=edges.m)
+    return Labels(p, p, np.maximum(1 - sum_i, HOPELESS), np.maximum(1 - sum_k, HOPELESS))
+
+
+def against_none(edges: Edges, p: Array) -> Array:
+    """Return log-odds (e,) of edges against no match alone, rivals left aside, from probabilities that know of them."""
+    labels = labels_of(edges, p)
+    none = np.sqrt(np.maximum(labels.p_none[edges.i], LEAST_NONE) * np.maximum(labels.q_none[edges.k], LEAST_NONE))
+    return np.asarray(np.log(p) - np.log(none))
+
+
+def _trees(trees: list[dict[str, Any]]) -> Trees:
+    sizes = np.array([len(t["column"]) for t in trees], np.int64)
+    root = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64)
+    offset = np.repeat(root, sizes)
+
+    def joined(key: str, dtype: type) -> Any:
+        return np.concatenate([np.asarray(t[key], dtype) for t in trees])
+
+    return Trees(
+        root,
+        joined("column", np.int64),
+        joined("threshold", np.float64),
+        joined("left", np.int64) + offset,
+        joined("right", np.int64) + offset,
+    )
+
+
+@njit(cache=True, nogil=True)
+def _sums(x, root, column, threshold, left, right):  # type: ignore[no-untyped-def]
+    out = np.zeros(len(x))
+    for block in range(0, len(x), 128):  # so that a tree, and the rows it judges, stay in the cache
+        for start in root:
+            for e in range(block, min(block + 128, len(x))):
+                at = start
+                while column[at] >= 0:
+                    at = left[at] if x[e, column[at]] <= threshold[at] else right[at]
+                out[e] += threshold[at]
+    return out
