@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .PHONY: help demo test check format docs lock clean \
-        accuracy bench-matching bench-tracks bench-paper bench-seeing bench-speed bench-oracles bench-scale train-matching
+        accuracy bench-matching bench-tracks bench-paper bench-seeing bench-speed bench-oracles bench-scale bench-faults bench-archive train-matching
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -70,6 +70,12 @@ bench-oracles: $(VENV)/runtime ## our IDF1, MOTA, HOTA and links beside TrackEva
 
 bench-scale: $(VENV)/runtime ## how matching and tracking scale with vehicles and frames: docs/performance.md
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.scale_matching
+
+bench-faults: $(VENV)/dev ## make every change of the disk fail, and kill at random, 200 times
+	$(BIN)/python -m benchmarks.faults --kills 200
+
+bench-archive: $(VENV)/runtime ## how the engine scales with frames: docs/performance.md
+	$(BIN)/python -m benchmarks.scale_archive 100000 1000000
 
 train-matching: $(VENV)/dev ## train the learned link score anew on simulated traffic, write it into the package
 	$(BIN)/python -m benchmarks.train_matching

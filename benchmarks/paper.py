@@ -106,7 +106,7 @@ def rates(rows: pd.DataFrame, method: str, rule: str, *, fixed: bool = False) ->
 
 def _fixed(elapsed_s: float) -> dict[str, object]:
     speed = PIXEL_M / elapsed_s
-    return {"max_speed_mps": D_PX * speed, "paper": {"consistency_mps": T_PX * speed}}
+    return {"paper": {"max_speed_mps": D_PX * speed, "consistency_mps": T_PX * speed}}
 
 
 def sweep_on(kind: str, missed: float, seeds: range) -> pd.DataFrame:
@@ -117,7 +117,7 @@ def sweep_on(kind: str, missed: float, seeds: range) -> pd.DataFrame:
     for name, pair in rows.groupby("sequence"):
         one, two = (of for _, of in pair.groupby("frame"))
         xy = [of[["x_m", "y_m"]].to_numpy() for of in (one, two)]
-        edges = candidates(*xy, params.reach_m(PAPER_S))
+        edges = candidates(*xy, params.reach_m(PAPER_S, printed=True))
         start = colour_labels(edges, *(of[COLOURS].to_numpy(float) for of in (one, two)))
         for a, b, c in product(SWEEP_A, SWEEP_BC, SWEEP_BC):
             setting = params.paper.model_copy(update={"a_delay": a, "b_neighbours": b, "c_opposite": c})

@@ -15,7 +15,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from page import PERFORMANCE, markdown_table, stamp, write_section
+from benchmarks.page import PERFORMANCE, markdown_table, stamp, write_section
 
 FOLDER_FRAMES = 10_000
 SURVEY = "archive: {root: frames, time_zone: UTC}\ngeoreference: {gsd_m: 0.3}\n"
@@ -78,7 +78,7 @@ def make_archive(folder: Path, count: int) -> None:
 
 def measured(folder: Path, step: str) -> dict[str, float]:
     """Return seconds and peak memory of *step* in a process of its own."""
-    command = [sys.executable, __file__, "--step", step, str(folder)]
+    command = [sys.executable, "-m", "benchmarks.scale_archive", "--step", step, str(folder)]
     return dict(json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout))
 
 

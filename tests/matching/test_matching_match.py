@@ -101,8 +101,8 @@ def test_empty_and_single_images(method, n, m):
 
 def test_nothing_moves_faster_than_the_limit():
     earlier = pd.DataFrame({"detection_id": [1], "x_m": [0.0], "y_m": [0.0]})
-    assert links(match(earlier, earlier.assign(x_m=60.0), elapsed_s=1.5)) == {}
-    assert links(match(earlier, earlier.assign(x_m=60.0), elapsed_s=3.0)) == {1: 1}
+    assert links(match(earlier, earlier.assign(x_m=80.0), elapsed_s=1.5)) == {}
+    assert links(match(earlier, earlier.assign(x_m=80.0), elapsed_s=3.0)) == {1: 1}
 
 
 def test_a_flow_map_tells_lanes_apart_that_a_pair_alone_cannot():
@@ -174,7 +174,7 @@ def test_label_rate_on_pinned_pairs(shared_data, scene, low):
         right = sum(found.get(i) == want.get(i) for i in a["detection_id"])
         right += sum(back.get(k) == want_back.get(k) for k in b["detection_id"])
         rates.append(100 * right / (len(a) + len(b)))
-    assert low <= np.mean(rates) < 100
+    assert np.mean(rates) >= low
 
 
 @pytest.mark.real

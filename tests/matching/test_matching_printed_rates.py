@@ -13,8 +13,9 @@ from vtrack_batch.matching.vehicles import Vehicles
 METHODS = {"a": "original", "b": "colour", "c": "opposite", "d": "proposed"}
 PX_M, ELAPSED_S = 0.33, 1.5
 PRINTED = MatchingParams(
-    max_speed_mps=150 * PX_M / ELAPSED_S,
-    paper=RelaxationParams(consistency_mps=20 * PX_M / ELAPSED_S, neighbourhood_m=200 * PX_M),
+    paper=RelaxationParams(
+        max_speed_mps=150 * PX_M / ELAPSED_S, consistency_mps=20 * PX_M / ELAPSED_S, neighbourhood_m=200 * PX_M
+    )
 )
 TIE = 1e-6
 
@@ -28,7 +29,7 @@ class Answers:
         truth = [dict(zip(image["detection_id"], image["truth_vehicle"], strict=True)) for image in images]
         self.truth = [np.array([t[n] for n in v.ids]) for t, v in zip(truth, self.seen, strict=True)]
         a, b = self.seen
-        self.edges = candidates(a.xy, b.xy, PRINTED.reach_m(ELAPSED_S))
+        self.edges = candidates(a.xy, b.xy, PRINTED.reach_m(ELAPSED_S, printed=True))
         self.labels = paper_labels(self.edges, a, b, ELAPSED_S, METHODS[method], PRINTED)
         self.one_way = method in "ab"
 

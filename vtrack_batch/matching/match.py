@@ -54,7 +54,8 @@ def match(
     if not (np.isfinite(elapsed_s) and elapsed_s > 0):
         raise UnusableData(f"elapsed_s must be positive, not {elapsed_s!r}")
     a, b = Vehicles.of(earlier, "earlier image"), Vehicles.of(later, "later image")
-    edges = candidates(a.xy, b.xy, params.reach_m(elapsed_s), limit=params.max_candidate_pairs)
+    reach_m = params.reach_m(elapsed_s, printed=chosen in PAPER)
+    edges = candidates(a.xy, b.xy, reach_m, limit=params.max_candidate_pairs)
     if flow_map is not None and chosen not in (*PAPER, "nearest", "regions"):
         edges = edges.select(flow_map.possible(a.xy[edges.i], b.xy[edges.k], elapsed_s))
     if chosen in PAPER:

@@ -24,6 +24,9 @@ class RelaxationParams(Params):
         4.4, gt=0, description="[T] displacements agree within this times the interval (20 px of 0.33 m at 1.5 s)"
     )
     consistency_min_m: float = Field(1.0, ge=0, description="[T] is never less than this: noise of four positions")
+    max_speed_mps: float = Field(
+        33.0, gt=0, description="[D] partners are sought within this times the interval along x and y (150 px)"
+    )
     neighbourhood_m: float = Field(66.0, gt=0, description="[R] neighbours are within this distance (200 px)")
     iterations: int = Field(50, ge=0, description="rounds at most")
     stop_change: float = Field(1e-3, ge=0, description="stop when no probability changes by more; 0 = never")
@@ -87,9 +90,9 @@ class MatchingParams(Params):
 
     method: Method = Field("default", description="what decides: see the chapter's page")
     max_speed_mps: float = Field(
-        33.0, gt=0, description="[D] reach of a vehicle along x and y, times the interval (150 px of 0.33 m at 1.5 s)"
+        50.0, gt=0, description="partners are sought within this times the interval along x and y, but see paper"
     )
-    reach_min_m: float = Field(2.0, ge=0, description="[D] is never less than this")
+    reach_min_m: float = Field(2.0, ge=0, description="partners are sought at least this far")
     decision: DecisionRule = Field(
         "method",
         description="how labels become links; 'method' = argmax for a, b; mutual for c, d; most right labels for the "
@@ -106,6 +109,7 @@ class MatchingParams(Params):
         20_000_000, gt=0, description="more candidate pairs than this between two images is refused"
     )
 
-    def reach_m(self, elapsed_s: float) -> float:
-        """Return D for an interval: half the side of the box in which partners are sought."""
-        return max(self.max_speed_mps * elapsed_s, self.reach_min_m)
+    def reach_m(self, elapsed_s: float, *, printed: bool = False) -> float:
+        """Return half the side of the box in which partners are sought; *printed*: D of the methods (a)-(d)."""
+        speed = self.paper.max_speed_mps if printed else self.max_speed_mps
+        return max(speed * elapsed_s, self.reach_min_m)

@@ -15,7 +15,7 @@ class MotionParams(Params):
     rough_factor: float = Field(10.0, gt=1, description="q of hard braking and sharp turns, as a multiple")
     rough_share: float = Field(0.15, gt=0, lt=1, description="share of intervals with such driving")
     speed_sigma_mps: float = Field(10.0, gt=0, description="spread of unknown velocities, per axis")
-    max_speed_mps: float = Field(40.0, gt=0, description="nothing on a road is faster")
+    max_speed_mps: float = Field(50.0, gt=0, description="nothing on a road is faster")
 
 
 class LinkParams(Params):
