@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: help demo test check format docs lock clean \
+.PHONY: help demo test test-slow check format docs lock clean \
         accuracy bench-matching bench-tracks bench-paper bench-seeing bench-speed bench-oracles bench-scale bench-faults bench-archive train-matching
 
 help: ## list the targets
@@ -32,6 +32,9 @@ demo: $(VENV)/runtime ## make a small archive with known truth, run it, print tr
 
 test: $(VENV)/dev ## run the whole test suite
 	$(BIN)/python -m pytest -n 2
+
+test-slow: $(VENV)/dev ## run the tests that take minutes
+	$(BIN)/python -m pytest -m slow --timeout 3000
 
 check: $(VENV)/dev ## format, lint and types
 	$(BIN)/ruff format --check .
