@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 from numpy.typing import NDArray
 
 from benchmarks.realism import GRADIENT_EDGES_DN, distance, frame_statistics, share_distance
@@ -111,6 +112,7 @@ def draw(pairs: dict[float, tuple[Statistics, Statistics]], path: Path) -> None:
         for axis, title in zip(row, titles, strict=True):
             axis.set_title(f"{title} ({gsd_m:g} m)", fontsize=9)
             axis.tick_params(labelsize=7)
+            axis.xaxis.set_minor_formatter(NullFormatter())
     axes[0][0].legend(fontsize=8)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, metadata={"Date": None}, format="svg")
