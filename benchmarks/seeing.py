@@ -236,9 +236,9 @@ def realism_page(folder: Path, command: str) -> str:
     apart = {gsd_m: differences(*both) for gsd_m, both in pairs.items()}
     rows = [[label, *(f"{apart[gsd_m][name]:.2f}" for gsd_m in apart)] for name, label in LABELS.items()]
     text = (
-        "Curves of rendered frames (blue, dashed) and of KIT AIS MunichStreet02 (orange), as taken and shrunk to the "
-        "coarser distance. The table holds the greatest difference of the two distribution functions: 0 = alike, 1 = nothing "
-        "in common."
+        "Curves of rendered frames (blue, dashed) and of KIT AIS MunichStreet02 (orange), as taken and shrunk to "
+        "the coarser distance. The table holds the greatest difference of the two distribution functions: 0 = alike, "
+        "1 = nothing in common."
     )
     table = markdown_table(["", *(f"{gsd_m:g} m a pixel" for gsd_m in apart)], rows)
     return "\n\n".join(

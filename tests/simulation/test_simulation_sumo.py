@@ -26,7 +26,7 @@ WHOLE = {
     "roundabout": ({"width_px": 860, "height_px": 860, "gsd_m": 1.0}, 500.0, 190.0),
     "motorway": ({"width_px": 3700, "height_px": 400, "gsd_m": 1.0}, 2400.0, 190.0),
     "grid": ({"width_px": 960, "height_px": 960, "gsd_m": 1.0}, 70.0, 280.0),
-    "city": ({"width_px": 3600, "height_px": 3600, "gsd_m": 1.0}, 400.0, 600.0),
+    "city": ({"width_px": 3600, "height_px": 3600, "gsd_m": 1.0}, 40.0, 600.0),
 }
 SLOW = [pytest.param("city", marks=pytest.mark.slow)]
 
