@@ -44,5 +44,5 @@ def sumo_loops(out: Path) -> pd.DataFrame:
     rows = [dict(interval.attrib) for interval in parse(out / "sumo" / "loops.xml").getroot()]
     found = pd.DataFrame(rows)
     place = found["id"].str.split("@", expand=True)
-    numbers = found[["begin", "end", "nVehContrib", "speed"]].astype(float)
+    numbers = found[["begin", "end", "nVehContrib", "nVehEntered", "speed"]].astype(float)
     return numbers.assign(gate=place[0], lane=place[1])

@@ -81,7 +81,7 @@ def test_travel_times_are_those_of_sumo(whole: Path) -> None:
     assert ends.median() < 6.0
 
 
-VIEWS = ["road", "congested", "crossing", "roundabout", "motorway"]
+VIEWS = ["road", "congested", "crossing", "roundabout", "motorway", "grid"]
 
 
 @pytest.fixture(scope="module", params=VIEWS)
@@ -104,10 +104,13 @@ def test_counts_and_speeds_are_those_of_loop_detectors(view: Path) -> None:
         at = crossings[crossings["gate"] == gate]
         ours = at[at["t_s"].between(begin, begin + 60, inclusive="left")]
         straddling = np.abs(at["t_s"].to_numpy()[:, None] - [begin, begin + 60]).min(axis=1, initial=np.inf) < 2.5
-        theirs = bins["nVehContrib"].sum()
-        assert abs(len(ours) - theirs) <= straddling.sum(), (gate, begin)
+        # who stands on the loop while a bin ends has entered it in the one and left it in the other
+        theirs, entered = bins["nVehContrib"].sum(), bins["nVehEntered"].sum()
+        least, most = min(theirs, entered) - straddling.sum(), max(theirs, entered) + straddling.sum()
+        assert least <= len(ours) <= most, (gate, begin)
         compared += int(theirs)
-        if theirs:
+        # of the same vehicles; who creeps over a loop has no one speed there
+        if theirs == entered == len(ours) > 0 and ours["speed_mps"].min() > 5:
             speeds.append(
                 (gate, theirs, (bins["speed"] * bins["nVehContrib"]).sum(), len(ours), ours["speed_mps"].sum())
             )
