@@ -1,6 +1,6 @@
 """Print the figures of docs/realism.md: rendered frames beside the real clips of ../shared/data, by sampling distance.
 
-python benchmarks/realism_figures.py
+python -m benchmarks.realism_figures
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """How indexing, planning and doing nothing grow with the archive: tiny generated files, a process for each step.
 
-``python benchmarks/scale_archive.py 100000 1000000`` writes the section ``archive`` of docs/performance.md.
+``python -m benchmarks.scale_archive 100000 1000000`` writes the section ``archive`` of docs/performance.md.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def main(counts: list[int]) -> None:
         far = [b + slope * (10**7 - high) for b, slope in zip(per_frame[high], slopes, strict=True)]
         rows.append(["10,000,000 (by the slope)", *(f"{value:.0f}" for value in far)])
     heads = ["frames", *(f"{step}, CPU s" for step in STEPS), "peak MB"]
-    command = f"python benchmarks/scale_archive.py {' '.join(map(str, counts))}"
+    command = f"python -m benchmarks.scale_archive {' '.join(map(str, counts))}"
     text = f"{INTRODUCTION}\n\n{markdown_table(heads, rows)}\n\n{stamp(command)}"
     write_section(PERFORMANCE, "archive", text)
     print(text)

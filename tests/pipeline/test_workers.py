@@ -219,7 +219,7 @@ def test_a_cluster_that_does_not_answer_is_told(survey: Path, monkeypatch: pytes
         run_survey(vt.load_survey(survey / "survey.yaml"), orders=Orders(cluster="tcp://127.0.0.1:1"))
 
 
-@pytest.mark.skipif(importlib.util.find_spec("distributed") is not None, reason="Dask is installed")
-def test_without_dask_it_is_told_how_to_get_it(survey: Path) -> None:
+def test_without_dask_it_is_told_how_to_get_it(survey: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)  # as if it were not installed
     with pytest.raises(ConfigError, match=r"pip install 'vtrack-batch\[cluster\]'"):
         run_survey(vt.load_survey(survey / "survey.yaml"), orders=Orders(cluster="tcp://127.0.0.1:1"))
