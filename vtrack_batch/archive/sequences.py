@@ -59,6 +59,12 @@ def split_sequences(files: pd.DataFrame, *, max_gap_s: float, time_zone: str | N
     )
 
 
+def median_interval_s(files: pd.DataFrame) -> float | None:
+    """Return the median time between frames of *files*, as ``split_sequences`` gives them; None where all are alone."""
+    gaps = files.groupby("sequence", observed=True)["t_utc"].diff().dt.total_seconds().dropna()
+    return round(float(gaps.median()), 3) if len(gaps) else None
+
+
 def _in_order(files: pd.DataFrame) -> bool:
     """Return whether *files* are one platform's in order of time, as most archives name them."""
     rising = files["t_utc"].is_monotonic_increasing and files["t_utc"].is_unique

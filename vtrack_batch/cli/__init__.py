@@ -14,7 +14,7 @@ from vtrack_batch.errors import VtrackError
 
 COMMANDS = (
     "init", "check", "run", "status", "explain", "inspect", "quarantine", "verify", "repair", "gc", "doctor", "schema",
-    "evaluate", "simulate", "match", "track", "learn",
+    "evaluate", "simulate", "match", "track", "learn", "calibrate",
 )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ import shapely
 
 from vtrack_batch.archive.decode import decode
 from vtrack_batch.archive.read import read_bytes
-from vtrack_batch.archive.sequences import shares_instant, split_sequences
+from vtrack_batch.archive.sequences import median_interval_s, shares_instant, split_sequences
 from vtrack_batch.config.survey import Survey
 from vtrack_batch.errors import UnusableFrame, VtrackError
 from vtrack_batch.georeference.fix import GroundFix
@@ -77,7 +77,7 @@ def check_survey(survey: Survey) -> Check:
         "first": str(files["t_utc"].min()),
         "last": str(files["t_utc"].max()),
         "sequences": int(files["sequence"].nunique()),
-        "median_interval_s": _median_interval_s(files),
+        "median_interval_s": median_interval_s(files),
         "megabytes": round(float(files["size_bytes"].sum()) / 1e6, 1),
     }
     if files.empty:
@@ -97,11 +97,6 @@ def check_survey(survey: Survey) -> Check:
     if fix and sizes:
         problems += _doubts(zones, fix, sizes[0])
     return Check(facts, tuple(problems), 65 if not sizes else 78 if fix is None else 0)
-
-
-def _median_interval_s(files: pd.DataFrame) -> float | None:
-    gaps = files.groupby("sequence")["t_utc"].diff().dt.total_seconds().dropna()
-    return round(float(gaps.median()), 3) if len(gaps) else None
 
 
 def _decode_sample(survey: Survey, files: pd.DataFrame) -> tuple[list[tuple[int, int]], list[str]]:

@@ -19,7 +19,6 @@ from vtrack_batch.simulation.zones import loops_xml
 LOOP_PERIOD_S = 60.0
 """Length of the bins of SUMO's induction loops below the gates."""
 _PLAN, _FLEET = 0, 1
-_OWN_NET_VPH = 400.0
 
 
 def network(scenario: Scenario, folder: Path, *, base: Path, reach_m: float) -> Path:
@@ -61,11 +60,10 @@ def _flows(scenario: Scenario, net: RoadNet) -> list[Flow]:
     if scenario.network is None:
         return plan(scenario, reach_m=1.0, rng=np.random.default_rng(0)).flows
     into, out_of = net.road_ends
-    vph = _OWN_NET_VPH if scenario.traffic.demand_vph is None else scenario.traffic.demand_vph
     flows = []
     for origin in into:
         reached = [name for name in net.reached_from(origin) if name in out_of and not net.is_way_back(origin, name)]
-        flows += [Flow(origin, name, vph / len(reached)) for name in reached]
+        flows += [Flow(origin, name, scenario.demand_vph / len(reached)) for name in reached]
     if not flows:
         raise ConfigError("network: no road leads from one end to another; give routes of your own as `routes`")
     return flows

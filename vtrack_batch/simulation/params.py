@@ -12,6 +12,11 @@ from vtrack_batch.simulation.view_params import CameraParams, GroundParams, Ligh
 
 SceneName = Literal["road", "congested", "crossing", "roundabout", "motorway", "grid", "city", "street"]
 
+DEMAND_VPH = {
+    "street": 700.0, "road": 4000.0, "congested": 3900.0, "crossing": 930.0, "roundabout": 400.0, "motorway": 4400.0,
+    "grid": 390.0, "city": 640.0, "network": 400.0,
+}  # fmt: skip
+
 
 class DemandParams(Params):
     """Who drives on a built-in scene, or on the user's own network where no routes are given."""
@@ -100,6 +105,11 @@ class Scenario(Params):
     def frame_count(self) -> int:
         """Number of frames in the archive, at least one."""
         return max(1, int(self.duration_s / self.interval_s + 1e-9))
+
+    @property
+    def demand_vph(self) -> float:
+        """Vehicles per hour that come in by each road."""
+        return DEMAND_VPH[self.name] if self.traffic.demand_vph is None else self.traffic.demand_vph
 
     @property
     def name(self) -> str:

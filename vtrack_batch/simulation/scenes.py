@@ -45,18 +45,18 @@ class Plan:
 def plan(scenario: Scenario, *, reach_m: float, rng: np.random.Generator) -> Plan:
     """Return the plan of the built-in scene; roads of ``street`` reach *reach_m* from the middle to both sides."""
     if scenario.scene == "street":
-        return _street(scenario.traffic, reach_m)
+        return _street(scenario.traffic, scenario.demand_vph, reach_m)
     if scenario.scene == "crossing":
-        return _crossing(scenario.traffic, float(rng.uniform(0, 100)))
-    makers: dict[str, Callable[[DemandParams], Plan]] = {
-        "road": lambda traffic: _road(traffic, exit_mps=None),
-        "congested": lambda traffic: _road(traffic, exit_mps=24 / 3.6),
+        return _crossing(scenario.traffic, scenario.demand_vph, float(rng.uniform(0, 100)))
+    makers: dict[str, Callable[[DemandParams, float], Plan]] = {
+        "road": lambda traffic, vph: _road(traffic, vph, exit_mps=None),
+        "congested": lambda traffic, vph: _road(traffic, vph, exit_mps=24 / 3.6),
         "roundabout": _roundabout,
         "motorway": _motorway,
-        "grid": lambda traffic: _grid(traffic, 5, 390.0),
-        "city": lambda traffic: _grid(traffic, 22, 640.0),
+        "grid": lambda traffic, vph: _grid(traffic, vph, 5),
+        "city": lambda traffic, vph: _grid(traffic, vph, 22),
     }
-    return makers[scenario.scene](scenario.traffic)
+    return makers[scenario.scene](scenario.traffic, scenario.demand_vph)
 
 
 def plain_xml(made: Plan) -> dict[str, str]:
@@ -106,14 +106,14 @@ def _shape(xy: Array) -> str:
     return " ".join(f"{x:.2f},{y:.2f}" for x, y in xy.tolist())
 
 
-def _street(traffic: DemandParams, reach_m: float) -> Plan:
-    speed, vph = traffic.speed_limit_mps or 13.9, _demand(traffic, 700.0)
+def _street(traffic: DemandParams, vph: float, reach_m: float) -> Plan:
+    speed = traffic.speed_limit_mps or 13.9
     nodes = [_node("A", -reach_m, 0), _node("B", reach_m, 0)]
     edges = [_edge("AB", "A", "B", 1, speed), _edge("BA", "B", "A", 1, speed)]
     return Plan(nodes, edges, [Flow("AB", "AB", vph), Flow("BA", "BA", vph)])
 
 
-def _road(traffic: DemandParams, *, exit_mps: float | None) -> Plan:
+def _road(traffic: DemandParams, vph: float, *, exit_mps: float | None) -> Plan:
     """One way, two lanes, two gentle bends; the congested one leaves over a slow kilometre."""
     speed = traffic.speed_limit_mps or 18.0
     x = np.linspace(-1000, 700, 69)
@@ -124,12 +124,12 @@ def _road(traffic: DemandParams, *, exit_mps: float | None) -> Plan:
         _edge(name, f"n{k}", f"n{k + 1}", 2, (exit_mps or speed) if name == "e1" else speed, shape=_shape(part))
         for k, (name, part) in enumerate(parts.items())
     ]
-    return Plan(nodes, edges, [Flow("e0", "e1", _demand(traffic, 4000.0 if exit_mps is None else 3900.0))])
+    return Plan(nodes, edges, [Flow("e0", "e1", vph)])
 
 
-def _crossing(traffic: DemandParams, offset_s: float) -> Plan:
+def _crossing(traffic: DemandParams, vph: float, offset_s: float) -> Plan:
     """Four legs, three lanes in (right and through, through, left), two out, and a fixed-time signal of four groups."""
-    speed, vph = traffic.speed_limit_mps or 15.3, _demand(traffic, 930.0)
+    speed = traffic.speed_limit_mps or 15.3
     nodes = [_node("c", 0, 0, "traffic_light")]
     edges, links, flows = [], [], []
     shares = {1: traffic.right_share, 2: 1 - traffic.left_share - traffic.right_share, 3: traffic.left_share}
@@ -157,9 +157,9 @@ def _phases(traffic: DemandParams) -> list[Attributes]:
     return phases
 
 
-def _roundabout(traffic: DemandParams) -> Plan:
+def _roundabout(traffic: DemandParams, vph: float) -> Plan:
     """Four single-lane arms on a ring of one lane, driven counter-clockwise."""
-    speed, vph = traffic.speed_limit_mps or 13.9, _demand(traffic, 400.0)
+    speed = traffic.speed_limit_mps or 13.9
     nodes, edges, flows = [], [], []
     for k, arm in enumerate(ARMS):
         out = np.array([np.cos(k * np.pi / 2), np.sin(k * np.pi / 2)])
@@ -174,9 +174,9 @@ def _roundabout(traffic: DemandParams) -> Plan:
     return Plan(nodes, edges, flows)
 
 
-def _motorway(traffic: DemandParams) -> Plan:
+def _motorway(traffic: DemandParams, vph: float) -> Plan:
     """Two carriageways of three lanes; eastbound a ramp in, a ramp out, and a lane less beyond, where a jam begins."""
-    speed, vph = traffic.speed_limit_mps or 30.0, _demand(traffic, 4400.0)
+    speed = traffic.speed_limit_mps or 30.0
     places = {"m0": -1800, "m1": -220, "m2": 0, "m3": 60, "m4": 230, "m5": 420, "m6": 1200}
     nodes = [_node(name, x, 0) for name, x in places.items()]
     nodes += [_node("r0", -650, -110), _node("r1", 640, -110), _node("w0", 1200, 24), _node("w1", -1800, 24)]
@@ -201,9 +201,9 @@ def _motorway(traffic: DemandParams) -> Plan:
     return Plan(nodes, edges, [*flows, Flow("ramp_in", "d", 0.12 * vph), Flow("ramp_in", "ramp_out", 20.0)], links)
 
 
-def _grid(traffic: DemandParams, size: int, vph: float) -> Plan:
+def _grid(traffic: DemandParams, vph: float, size: int) -> Plan:
     """Signals at all crossings of *size* streets each way; everybody drives from one end of a street to another."""
-    speed, vph = traffic.speed_limit_mps or 13.9, _demand(traffic, vph)
+    speed = traffic.speed_limit_mps or 13.9
     half = (size - 1) / 2
     nodes = []
     for i in range(-1, size + 1):
@@ -225,7 +225,3 @@ def _grid(traffic: DemandParams, size: int, vph: float) -> Plan:
     out_of = {name: next(edge["id"] for edge in edges if edge["to"] == name) for name in ends}
     flows = [Flow(into[a], out_of[b], vph / (len(ends) - 1)) for a in ends for b in ends if a != b]
     return Plan(nodes, edges, flows)
-
-
-def _demand(traffic: DemandParams, vph: float) -> float:
-    return vph if traffic.demand_vph is None else traffic.demand_vph
