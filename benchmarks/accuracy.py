@@ -13,15 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import vtrack_batch as vt
-from benchmarks.page import ACCURACY, stamp, write_section
+from benchmarks.page import ACCURACY, PROJECT, SHARED, stamp, write_section
 from vtrack_batch.config.load import load_params
 from vtrack_batch.evaluation.evaluate import evaluate
 from vtrack_batch.evaluation.load import load_result, load_truth
 from vtrack_batch.simulation.params import Scenario
 from vtrack_batch.simulation.write import simulate
 
-PROJECT = Path(__file__).resolve().parents[1]
-SHARED = PROJECT.parent / "shared" / "data"
 ARCHIVES = {
     "rendered city, 0.33 m, 1.5 s": (SHARED / "rendered" / "city", 0.33),
     "KIT AIS MunichStreet02, 0.12 m, 0.5 s": (SHARED / "kit-ais" / "MunichStreet02", 0.12),

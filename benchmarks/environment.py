@@ -23,7 +23,8 @@ import numpy as np
 import pandas as pd
 from filelock import FileLock
 
-PROJECT = Path(__file__).resolve().parents[1]
+from benchmarks.page import PROJECT
+
 PEERS = PROJECT / "benchmarks" / "peers"
 BUILT = PROJECT / "build" / "peers"
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")

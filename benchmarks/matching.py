@@ -16,8 +16,8 @@ from benchmarks.environment import pinned
 from benchmarks.figures import rates_by_interval
 from benchmarks.jobs import parallel, quick
 from benchmarks.methods import OURS, PEERS, Setting, flow_map, match_ours, run_on
+from benchmarks.noise import Noise
 from benchmarks.page import ACCURACY, FIGURES, PERFORMANCE, markdown_table, stamp, write_section
-from benchmarks.traffic import Noise
 from benchmarks.tuning import joined, link_scores, pair_scores, pooled, training_pairs, tuned, with_settings
 from benchmarks.work import INTERVALS_S, SCENES, mean_and_half_width, noisier, pinned_pairs
 
@@ -37,8 +37,8 @@ mean over the pairs of a cell ± half of its 95 % interval over pairs; nothing /
 interval. Ours: one set of defaults. Peers: the best of a grid for each scene and interval, by truth, on another seed of
 the same scene (below); what remembers speed has none to remember in a pair."""
 SPEED_TEXT = """\
-Mean time for a pair, the same pairs, nothing missed, 1.5 s, one core; in brackets how many times as long our default
-takes (above 1 = ours is slower). Two processes ran side by side."""
+Mean processor time for a pair, the same pairs, nothing missed, 1.5 s, one thread; in brackets how many times as long
+our default takes (above 1 = ours is slower)."""
 COMMAND = "make bench-matching"
 
 

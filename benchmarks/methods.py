@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 import vtrack_batch as vt
 from benchmarks.environment import run_peer
-from benchmarks.traffic import Noise
+from benchmarks.noise import Noise
 from benchmarks.work import COLOURS, START, archive
 from vtrack_batch.matching.params import Method
 
@@ -121,7 +121,7 @@ def flow_map(scene: str, interval_s: float, seconds: float, noise: Noise | None 
 
 
 def match_ours(ours: Ours, rows: pd.DataFrame, learned: Any) -> tuple[pd.DataFrame, dict[int, float]]:
-    """Match every pair; return links ``sequence, i, k, probability`` (rows within their image) and seconds by pair."""
+    """Match every pair; return ``sequence, i, k, probability`` (rows in their image) and processor seconds by pair."""
     columns = ["detection_id", "x_m", "y_m", *(COLOURS if ours.colour and "red" in rows else [])]
     answers = []
     for name, pair in rows.groupby("sequence", sort=True):
@@ -129,9 +129,9 @@ def match_ours(ours: Ours, rows: pd.DataFrame, learned: Any) -> tuple[pd.DataFra
         given = {"elapsed_s": float(pair["interval_s"].iloc[0]), "method": ours.method}
         if not answers:
             vt.match(*images, **given, flow_map=learned if ours.mapped else None)  # compiles
-        start = time.perf_counter()
+        start = time.process_time()
         found = vt.match(*images, **given, flow_map=learned if ours.mapped else None)
-        seconds = time.perf_counter() - start
+        seconds = time.process_time() - start
         found = found.dropna(subset=["detection_id_from", "detection_id_to"])
         found = found.rename(columns={"detection_id_from": "i", "detection_id_to": "k"})[["i", "k", "probability"]]
         answers.append((name, found.astype({"i": int, "k": int}), seconds))
@@ -150,9 +150,9 @@ def track_ours(ours: Ours, rows: pd.DataFrame, learned: Any) -> tuple[Index, dic
         call = {"method": ours.method, "flow_map": learned if ours.mapped else None}
         if not seconds:
             vt.track(given[given["t_utc"] < START + pd.Timedelta(20, "s")], **call)  # compiles
-        start = time.perf_counter()
+        start = time.process_time()
         points = vt.track(given, **call).track_points
-        seconds[int(name)] = time.perf_counter() - start
+        seconds[int(name)] = time.process_time() - start
         points = points.dropna(subset=["detection_id"])
         code = pd.Series(pd.factorize(points["vehicle_id"])[0], index=points["detection_id"].astype(int))
         track[of_sequence.index] = code.reindex(ids).fillna(-1).astype(int).to_numpy()

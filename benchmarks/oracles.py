@@ -8,20 +8,19 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from benchmarks.environment import pinned, run_peer
+from benchmarks.page import SHARED
 from vtrack_batch.evaluation.blocks import time_blocks
 from vtrack_batch.evaluation.clear import carried, clear_matches, of_last_frame
 from vtrack_batch.evaluation.params import EvaluationParams
 from vtrack_batch.evaluation.tracked import Tracked
 from vtrack_batch.evaluation.tracks import identity_scores
 
-SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 SAME = 1e-9
 BOX = ["left", "top", "width", "height"]
 NAMES = {

@@ -8,6 +8,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parents[1]
+SHARED = PROJECT.parent / "shared" / "data"
 DOCS = PROJECT / "docs"
 FIGURES = DOCS / "figures"
 ACCURACY, PERFORMANCE, PAPER = DOCS / "accuracy.md", DOCS / "performance.md", DOCS / "paper.md"

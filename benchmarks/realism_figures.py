@@ -8,26 +8,18 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-import cv2
 import numpy as np
-import pandas as pd
-import simplejpeg
 from numpy.typing import NDArray
 
-from benchmarks.realism import GRADIENT_EDGES_DN, LUMINANCE_EDGES_DN, distance, frame_statistics
-from vtrack_batch.simulation.params import Scenario
-from vtrack_batch.simulation.view_params import CameraParams
-from vtrack_batch.simulation.write import simulate
+from benchmarks.page import SHARED
+from benchmarks.realism import GRADIENT_EDGES_DN, LUMINANCE_EDGES_DN, distance
+from benchmarks.seeing_realism import Statistics, real, rendered
 
-CLIPS = Path(__file__).resolve().parents[2] / "shared" / "data" / "kit-ais"
+CLIPS = SHARED / "kit-ais"
 REAL_GSD_M = {"MunichStreet02": 0.12, "MunichAutobahn01": 0.15, "StuttgartAutobahn01": 0.17}
 # sampling distance, blur of the rendered frames
 RENDERED = ((0.12, 0.5), (0.12, 0.9), (0.17, 0.5), (0.33, 0.5))
-SIZE_PX = (1280, 800)
-FRAMES, SEED = 4, 8201
 SAMPLES = ("noise_dn", "contrast_dn", "colour_contrast_dn", "edge_dn")
-
-Statistics = dict[str, NDArray[np.float64]]
 
 
 def main() -> None:
@@ -35,7 +27,7 @@ def main() -> None:
     found: dict[str, Statistics] = {}
     for clip, own_gsd_m in REAL_GSD_M.items():
         for gsd_m in (own_gsd_m, 0.33):
-            found[f"{clip}, {gsd_m} m"] = real(clip, own_gsd_m / gsd_m)
+            found[f"{clip}, {gsd_m} m"] = real(CLIPS / clip, own_gsd_m / gsd_m)
     with tempfile.TemporaryDirectory() as folder:
         for k, (gsd_m, blur_px) in enumerate(RENDERED):
             found[f"rendered, {gsd_m} m, blur {blur_px} px"] = rendered(Path(folder) / str(k), gsd_m, blur_px)
@@ -83,47 +75,6 @@ def quantile(share: NDArray[np.float64], upper: NDArray[np.float64], q: float) -
 def whole(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the values that are known."""
     return values[np.isfinite(values)]
-
-
-def real(clip: str, scale: float) -> Statistics:
-    """Return the statistics of some frames of a real clip, shrunk by *scale*; boxes where the clip has them."""
-    paths = sorted((CLIPS / clip / "frames").iterdir())
-    tracks = CLIPS / clip / "tracks.csv"
-    truth = (
-        pd.read_csv(tracks) if tracks.is_file() else pd.DataFrame(columns=["frame", "left", "top", "width", "height"])
-    )
-    parts = []
-    for k in np.linspace(0, len(paths) - 1, FRAMES).round().astype(int):
-        pixels = np.asarray(cv2.imread(str(paths[k])), np.uint8)[..., ::-1]
-        if scale < 1:
-            pixels = np.asarray(cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
-        boxes = truth.loc[truth["frame"] == int(paths[k].stem), ["left", "top", "width", "height"]].to_numpy(float)
-        parts.append(frame_statistics(np.ascontiguousarray(pixels), boxes * scale))
-    return pooled(parts)
-
-
-def rendered(folder: Path, gsd_m: float, blur_px: float) -> Statistics:
-    """Return the statistics of some frames of the built-in crossing."""
-    camera = CameraParams(gsd_m=gsd_m, blur_px=blur_px, width_px=SIZE_PX[0], height_px=SIZE_PX[1])
-    simulate(Scenario(seed=SEED, duration_s=20.0 * FRAMES, interval_s=20.0, camera=camera), folder)
-    seen = pd.read_parquet(folder / "truth" / "detections.parquet")
-    parts = []
-    for path, (_, rows) in zip(sorted((folder / "frames").iterdir()), seen.groupby("t_utc"), strict=True):
-        angle = np.radians(rows["heading_deg"].to_numpy(float))
-        length, width = (rows[name].to_numpy(float) / gsd_m for name in ("length_m", "width_m"))
-        wide = length * np.abs(np.sin(angle)) + width * np.abs(np.cos(angle))
-        high = length * np.abs(np.cos(angle)) + width * np.abs(np.sin(angle))
-        boxes = np.stack([rows["col_px"] - wide / 2 + 0.5, rows["row_px"] - high / 2 + 0.5, wide, high], axis=1)
-        parts.append(frame_statistics(simplejpeg.decode_jpeg(path.read_bytes()), boxes))
-    return pooled(parts)
-
-
-def pooled(parts: list[Statistics]) -> Statistics:
-    """Average curves, and put samples together."""
-    return {
-        name: np.concatenate([p[name] for p in parts]) if name in SAMPLES else np.mean([p[name] for p in parts], axis=0)
-        for name in parts[0]
-    }
 
 
 if __name__ == "__main__":

@@ -8,20 +8,18 @@ detector that measures motion is off by 1 m/s. A vehicle is counted when a track
 
 from __future__ import annotations
 
-import subprocess
 import tempfile
-import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import sumo
 
 import vtrack_batch as vt
-from benchmarks.page import ACCURACY, PROJECT, markdown_table, stamp, write_section
+from benchmarks.driving import floating_cars
+from benchmarks.noise import COLOURS, Noise, recoloured
+from benchmarks.page import ACCURACY, markdown_table, stamp, write_section
+from benchmarks.traffic import SCENES
 
-SCENES = PROJECT.parent / "shared" / "data" / "sumo" / "scenes"
 COMMAND = "python -m benchmarks.regions_street"
 STEP_S, WARM_S, LENGTH_S = 0.1, 200.0, 60.0
 HALF_CAR_M = 2.25
@@ -56,36 +54,29 @@ def counted(scene: str, seed: int, motion: bool) -> list[str]:
 def sightings(scene: str, seed: int, motion: bool) -> pd.DataFrame:
     """Return what a detector would see, ``truth`` beside it."""
     rng = np.random.default_rng(seed)
-    rows = pd.DataFrame(driven(scene, seed), columns=["t_s", "truth", "x_m", "y_m", "angle", "speed"])
+    rows = driven(scene, seed)
     heading = np.radians(rows["angle"])
     ahead = np.column_stack([np.sin(heading), np.cos(heading)])
     rows[["vx_mps", "vy_mps"]] = rows[["speed"]].to_numpy() * ahead + rng.normal(0, 1, ahead.shape)
     rows[["x_m", "y_m"]] += rng.normal(0, 0.33, ahead.shape) - HALF_CAR_M * ahead
     code = rows["truth"].factorize()[0]
-    paint = rng.uniform(20, 235, (code.max() + 1, 3))[code] * (1 + rng.normal(0, 0.04, (len(rows), 1)))
-    rows[["red", "green", "blue"]] = np.clip(paint + rng.normal(0, 3, paint.shape), 0, 255)
+    paint = rng.uniform(20, 235, (code.max() + 1, 3))
+    rows[COLOURS] = recoloured(paint[code], Noise(), rng)
     rows["t_utc"] = pd.Timestamp("2026-05-17T08:00:00Z") + pd.to_timedelta(rows["t_s"].round(3), unit="s")
     rows["detection_id"] = rng.permutation(len(rows))
     seen = rows[rng.random(len(rows)) >= 0.1]
     return seen.drop(columns=["t_s", "angle", "speed", *([] if motion else ["vx_mps", "vy_mps"])])
 
 
-def driven(scene: str, seed: int) -> Iterator[tuple[float, str, float, float, float, float]]:
-    """Yield time, vehicle, front bumper, compass angle and speed of every vehicle at every step."""
-    folder = SCENES / scene
-    with tempfile.TemporaryDirectory() as place:
-        made = Path(place) / "fcd.xml"
-        command = [Path(sumo.SUMO_HOME) / "bin" / "sumo", "-n", folder / "net.xml", "-r", folder / "routes.rou.xml",
-                   "--step-length", STEP_S, "--end", WARM_S + LENGTH_S, "--seed", seed, "--lanechange.duration", 3,
-                   "--device.fcd.begin", WARM_S, "--fcd-output", made, "--no-warnings", "--no-step-log"]  # fmt: skip
-        subprocess.run(list(map(str, command)), check=True, capture_output=True)
-        for _, element in ElementTree.iterparse(made):
-            if element.tag == "timestep":
-                t_s = float(element.get("time", "nan")) - WARM_S
-                for v in element if t_s >= 0 else ():
-                    x, y, angle, speed = (float(v.get(key, "nan")) for key in ("x", "y", "angle", "speed"))
-                    yield t_s, v.get("id", ""), x, y, angle, speed
-                element.clear()
+def driven(scene: str, seed: int) -> pd.DataFrame:
+    """Return ``t_s, truth, x_m, y_m, angle, speed``: front bumper, compass angle and speed at every step."""
+    place = SCENES / scene
+    more = ("--device.fcd.begin", WARM_S)
+    with tempfile.TemporaryDirectory() as folder:
+        given = {"step_s": STEP_S, "until_s": WARM_S + LENGTH_S, "seed": seed, "more": more}
+        rows = floating_cars(place / "net.xml", place / "routes.rou.xml", Path(folder), **given)
+    rows = rows.rename(columns={"vehicle": "truth"}).drop(columns="type")
+    return rows[rows["t_s"] >= WARM_S].assign(t_s=lambda r: r["t_s"] - WARM_S).reset_index(drop=True)
 
 
 if __name__ == "__main__":

@@ -19,7 +19,8 @@ import pandas as pd
 
 import vtrack_batch as vt
 from benchmarks.environment import pinned
-from benchmarks.page import ACCURACY, FIGURES, PERFORMANCE, PROJECT, markdown_table, stamp, write_section
+from benchmarks.jobs import quick
+from benchmarks.page import ACCURACY, FIGURES, PERFORMANCE, SHARED, markdown_table, stamp, write_section
 from benchmarks.seeing_detection import PEERS, Settings, aligned, detect, scores, tuned
 from benchmarks.seeing_realism import KIT_GSD_M, LABELS, differences, draw, real, rendered
 from benchmarks.seeing_registration import compare, flown
@@ -27,7 +28,6 @@ from vtrack_batch.simulation.params import Scenario
 from vtrack_batch.simulation.view_params import CameraParams
 from vtrack_batch.simulation.write import simulate
 
-SHARED = PROJECT.parent / "shared" / "data"
 TUNING_SEED, FIRST_SEED = 7001, 8001
 GSD_M = 0.33
 COMMAND = "make bench-seeing"
@@ -49,8 +49,7 @@ QUICK, FULL = Extent(2, 60.0, False), Extent(10, 120.0, True)
 
 def main() -> None:
     """Run all three parts and write their sections of the pages."""
-    quick = bool(os.environ.get("QUICK"))
-    extent, command = (QUICK, f"{COMMAND} QUICK=1") if quick else (FULL, COMMAND)
+    extent, command = (QUICK, f"{COMMAND} QUICK=1") if quick() else (FULL, COMMAND)
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         if (SHARED / "kit-ais").is_dir():
@@ -227,7 +226,7 @@ def realism_page(folder: Path, command: str) -> str:
     clip = SHARED / "kit-ais" / "MunichStreet02"
     pairs = {
         gsd_m: (
-            rendered(folder / f"realism-{gsd_m}", gsd_m, (960, 640), seed=8201),
+            rendered(folder / f"realism-{gsd_m}", gsd_m),
             real(clip, KIT_GSD_M / gsd_m),
         )
         for gsd_m in (KIT_GSD_M, GSD_M)

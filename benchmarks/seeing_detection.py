@@ -117,7 +117,7 @@ def by_mixture(work: Aligned, make: Callable[..., Any], limit: str, settings: Se
         mask = model.apply(picture)
         classes = np.select([~work.covered[i], mask == 255, mask > 0], [UNSEEN, OBJECT, SHADOW], 0).astype(np.uint8)
         evidence = np.where((mask > 0) & work.covered[i], np.uint8(100), np.uint8(0))
-        yield Difference(evidence, classes, IDENTITY, np.asarray(model.getBackgroundImage(), np.uint8))
+        yield Difference(evidence, classes, IDENTITY, np.asarray(model.getBackgroundImage(), np.uint8), np.eye(3))
 
 
 def by_average(work: Aligned, settings: Settings) -> Iterator[Difference]:

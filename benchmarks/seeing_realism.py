@@ -19,7 +19,8 @@ from vtrack_batch.simulation.view_params import CameraParams
 from vtrack_batch.simulation.write import simulate
 
 KIT_GSD_M = 0.125
-FRAMES = 5
+FRAMES, SIZE_PX, SEED = 4, (1280, 800), 8201
+BOX = ["left", "top", "width", "height"]
 
 Statistics = dict[str, NDArray[np.float64]]
 LABELS = {
@@ -33,31 +34,23 @@ LABELS = {
 
 
 def real(clip: Path, shrink: float) -> Statistics:
-    """Return the statistics of some frames of a KIT clip, reduced by *shrink*."""
-    tracks = pd.read_csv(clip / "tracks.csv")
-    numbers = np.unique(tracks["frame"])
+    """Return the statistics of some frames of a KIT clip, reduced by *shrink*; of vehicles where the clip has boxes."""
+    paths, tracks = sorted((clip / "frames").iterdir()), clip / "tracks.csv"
+    boxes = pd.read_csv(tracks) if tracks.is_file() else pd.DataFrame(columns=["frame", *BOX])
     parts = []
-    for number in numbers[np.linspace(0, len(numbers) - 1, FRAMES).round().astype(int)]:
-        (path,) = (path for path in (clip / "frames").iterdir() if path.stem.isdigit() and int(path.stem) == number)
-        pixels = read(path)
+    for n in np.linspace(0, len(paths) - 1, FRAMES).round().astype(int):
+        pixels = read(paths[n])
         if shrink != 1:
             pixels = np.asarray(cv2.resize(pixels, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA))
-        boxes = tracks.loc[tracks["frame"] == number, ["left", "top", "width", "height"]].to_numpy(float) * shrink
-        parts.append(frame_statistics(pixels, boxes))
+        of_frame = boxes.loc[boxes["frame"] == int(paths[n].stem), BOX].to_numpy(float)
+        parts.append(frame_statistics(np.ascontiguousarray(pixels), of_frame * shrink))
     return pooled(parts)
 
 
-def rendered(folder: Path, gsd_m: float, size_px: tuple[int, int], seed: int) -> Statistics:
-    """Return the statistics of some frames that the renderer makes at that ground sampling distance."""
-    simulate(
-        Scenario(
-            seed=seed,
-            duration_s=20.0 * FRAMES,
-            interval_s=20,
-            camera=CameraParams(gsd_m=gsd_m, width_px=size_px[0], height_px=size_px[1]),
-        ),
-        folder,
-    )
+def rendered(folder: Path, gsd_m: float, blur_px: float = CameraParams().blur_px) -> Statistics:
+    """Return the statistics of some frames that the renderer makes of the built-in crossing."""
+    camera = CameraParams(gsd_m=gsd_m, blur_px=blur_px, width_px=SIZE_PX[0], height_px=SIZE_PX[1])
+    simulate(Scenario(seed=SEED, duration_s=20.0 * FRAMES, interval_s=20, camera=camera), folder)
     seen = pd.read_parquet(folder / "truth" / "detections.parquet")
     parts = []
     for path, (_, true) in zip(sorted((folder / "frames").rglob("*.jpg")), seen.groupby("t_utc"), strict=True):

@@ -26,6 +26,7 @@ import simplejpeg
 
 import vtrack_batch as vt
 from benchmarks.environment import ONE_THREAD
+from benchmarks.jobs import quick
 from benchmarks.page import PERFORMANCE, markdown_table, stamp, write_section
 from vtrack_batch.archive.decode import decode
 from vtrack_batch.simulation.params import Scenario
@@ -36,6 +37,7 @@ COMMAND = "make bench-speed"
 VERSIONS = ("vtrack-batch", "numpy", "numba", "scipy", "opencv-python-headless", "simplejpeg")
 MAX_PIXELS = 200_000_000
 DECODES = 3
+WHO = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
 
 STAGES = {
     "decode, strict": ("archive/decode.py", "decode"),
@@ -57,22 +59,21 @@ def main() -> None:
     """Render archives, run them, write the section; with an argument: run one survey and print figures as JSON."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--survey", type=Path, help="run this survey alone")
-    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--workers", type=int, default=0)
     parser.add_argument("--unit-s", type=float, default=None)
     given = parser.parse_args()
     if given.survey:
         print(json.dumps(one_run(given.survey, given.workers, given.unit_s)))
         return
-    quick = bool(os.environ.get("QUICK"))
     with tempfile.TemporaryDirectory() as place:
-        section = performance_page(Path(place), quick)
+        section = performance_page(Path(place), quick())
     write_section(PERFORMANCE, "bench-speed", section)
 
 
-def performance_page(folder: Path, quick: bool) -> str:
+def performance_page(folder: Path, few: bool) -> str:
     """Return the section on speed and memory."""
-    wanted = {"HD": Scenario(seed=9001, duration_s=90 if quick else 150, camera=CameraParams(gsd_m=0.33))}
-    if not quick:
+    wanted = {"HD": Scenario(seed=9001, duration_s=90 if few else 150, camera=CameraParams(gsd_m=0.33))}
+    if not few:
         wanted["48 MP"] = Scenario(
             seed=9002, duration_s=18, camera=CameraParams(gsd_m=0.33, width_px=8000, height_px=6000)
         )
@@ -83,15 +84,14 @@ def performance_page(folder: Path, quick: bool) -> str:
         measured[name] = in_process(place / "survey.yaml")
         print(name, json.dumps(measured[name]), flush=True)
     hd, half_s = folder / "HD" / "survey.yaml", wanted["HD"].duration_s / 2
-    walls = [in_process(hd, workers=workers, unit_s=half_s)["wall_s"] for workers in (1, 2)]
-    command = f"{COMMAND} QUICK=1" if quick else COMMAND
+    runs = [in_process(hd, workers=workers, unit_s=half_s) for workers in (1, 2)]
+    command = f"{COMMAND} QUICK=1" if few else COMMAND
     return "\n\n".join(
         [
             "## A run in units of decoding",
             HEAD,
             ratio_table(measured),
-            f"Two workers on an HD archive of two units: {walls[0] / walls[1]:.2f} times as fast as one "
-            f"({walls[0]:.1f} s against {walls[1]:.1f} s, wall clock, start of the processes included).",
+            workers_text(*runs),
             "### Where the time goes",
             stage_table(measured),
             stamp(command, VERSIONS),
@@ -106,8 +106,20 @@ pass learns the ground from up to 31 frames of the unit; it weighs less the long
 index to the published tables, trajectories and report included. Memory is the peak of the process."""
 
 
-def in_process(survey: Path, *, workers: int = 1, unit_s: float | None = None) -> dict[str, Any]:
-    """Run a survey in a fresh process and return its figures."""
+def workers_text(one: Mapping[str, Any], two: Mapping[str, Any]) -> str:
+    """Return what two workers gain by the wall clock and cost in processor time."""
+    text = (
+        f"Two workers on an HD archive of two units: {one['wall_s'] / two['wall_s']:.2f} times as fast as one by the "
+        f"wall clock ({one['wall_s']:.1f} s against {two['wall_s']:.1f} s, start of the processes included), for "
+        f"{two['cpu_s'] / one['cpu_s']:.2f} times the processor time."
+    )
+    load = max(one["load"], two["load"])
+    busy = f" The machine was busy with other work (load {load:.1f}): its wall clock says little." if load > 2 else ""
+    return text + busy
+
+
+def in_process(survey: Path, *, workers: int = 0, unit_s: float | None = None) -> dict[str, Any]:
+    """Run a survey in a fresh process, which does all itself (0) or has *workers*; return its figures."""
     command = [sys.executable, "-m", "benchmarks.speed", "--survey", survey, "--workers", workers]
     command += ["--unit-s", unit_s] if unit_s else []
     environment = {**os.environ, **ONE_THREAD}
@@ -127,16 +139,16 @@ def one_run(path: Path, workers: int, unit_s: float | None) -> dict[str, Any]:
             out = source.output.model_copy(update={"root": str(Path(place) / name)})
             vt.run_survey(source.model_copy(update={"output": out, "execution": section}), workers=workers)
 
-        if workers == 1:
+        if not workers:
             run("warm", shortened(survey, path))
         floor = floor_s(frames)
         profile = cProfile.Profile(time.process_time)
-        start, start_cpu = time.perf_counter(), time.process_time()
-        if workers == 1 and unit_s is None:
+        load, start, start_cpu = os.getloadavg()[0], time.perf_counter(), processor_s()
+        if not workers:
             profile.runcall(run, "full", survey)
         else:
             run("full", survey)
-        wall, processor = time.perf_counter() - start, time.process_time() - start_cpu
+        wall, processor = time.perf_counter() - start, processor_s() - start_cpu
     size = cv2.imread(str(frames[0])).shape
     return {
         "frames": len(frames),
@@ -144,9 +156,15 @@ def one_run(path: Path, workers: int, unit_s: float | None) -> dict[str, Any]:
         "floor_s": floor,
         "wall_s": wall,
         "cpu_s": processor,
-        "memory_gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6,
-        "stages": stages(profile) if workers == 1 and unit_s is None else {},
+        "memory_gb": max(resource.getrusage(who).ru_maxrss for who in WHO) / 1e6,
+        "load": load,
+        "stages": {} if workers else stages(profile),
     }
+
+
+def processor_s() -> float:
+    """Return the processor time of this process and of those of its children that have ended."""
+    return sum(use.ru_utime + use.ru_stime for use in map(resource.getrusage, WHO))
 
 
 def shortened(survey: Any, path: Path) -> Any:
@@ -177,6 +195,8 @@ def stages(profile: cProfile.Profile) -> dict[str, float]:
     found = {}
     for stage, (file, function) in {**STAGES, **PASSES}.items():
         rows = [row for (path, _, name), row in table.items() if path.endswith(file) and name == function]
+        if not rows:
+            raise LookupError(f"{stage}: {file} {function} was not called in this process")
         found[stage] = float(sum(row[3] for row in rows))
     return found
 

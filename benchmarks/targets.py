@@ -38,9 +38,11 @@ TRACKS = {  # scene, interval, missed -> must and aim of IDF1 %, end to end %, O
     ("congested", 1.5, 0.1): ((99.3, 96, None), (99.7, 98, None)),
     ("grid", 1.5, 0.1): ((98, 90, None), (99, 94, None)),
 }
+TURNS = {("crossing", 1.5, 0.1): ((3, 90), (1, 95))}  # must and aim of turn shares, points, and GEH < 2, %
 REAL = {  # label rate by track without colour: must, aim
     ("Songdo", 0.5): (95, 98),
     ("Songdo", 1.0): (80, 92),
     ("SkySat", 0.5): (93, 97),
     ("SkySat", 1.0): (80, 90),
+    ("KIT boxes", 0.5): (98, 98),
 }

@@ -15,9 +15,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from benchmarks.page import SHARED
 from vtrack_batch.matching.decision import assign
 
-FOLDER = Path(__file__).resolve().parents[2] / "shared" / "data" / "trackmate"
+FOLDER = SHARED / "trackmate"
 WANTED = 0.99
 NO_LINK = 1.05
 """TrackMate's price of no link: this times the greatest cost of any possible link."""

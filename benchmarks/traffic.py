@@ -1,25 +1,24 @@
 """Labelled traffic of other seeds: the scenes beside the project driven anew, seen with noise and misses.
 
 Peers are tuned on it and the paper's tables are drawn from it; what is scored in the other benches is the pinned data.
-The noise is that of the pinned data's own notes (../shared/data/sumo/README.md).
 """
 
 from __future__ import annotations
 
 import hashlib
 import tempfile
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from benchmarks.environment import PROJECT
+from benchmarks.noise import COLOURS, Noise, seen
+from benchmarks.page import PROJECT, SHARED
 from vtrack_batch.simulation.params import Scenario
 from vtrack_batch.simulation.write import simulate
 
-SHARED = PROJECT.parent / "shared" / "data"
 SCENES = SHARED / "sumo" / "scenes"
 BUILT = PROJECT / "build" / "traffic"
 BUILT_IN = {  # the paper's road, not the one beside the project: a fleet as found, and cars alone that wish one speed
@@ -32,19 +31,6 @@ VIEW_PX = {"road": (1920, 650), "congested": (1920, 650), "crossing": (1697, 169
 STEP_S, PIXEL_M = 0.5, 0.33
 PAIRS_EVERY_S = 20
 PAPER_PX = (1920, 650)
-COLOURS = ["red", "green", "blue"]
-
-
-@dataclass(frozen=True)
-class Noise:
-    """Spread of one sighting: place per axis, colour as gain, common and per channel; share in shadow; share missed."""
-
-    position_m: float = 0.33
-    gain: float = 0.04
-    common: float = 3.0
-    channel: float = 3.0
-    shadow_share: float = 0.02
-    missed: float = 0.0
 
 
 @cache
@@ -86,24 +72,6 @@ def scenario_of(scene: str, seed: int, seconds: int) -> Scenario:
     )
 
 
-def seen(truth: pd.DataFrame, noise: Noise, *seeds: int) -> pd.DataFrame:
-    """Return what a detector would see of *truth*, rows shuffled: place and paint with noise, and misses."""
-    rng = np.random.default_rng(seeds)
-    rows = truth.iloc[rng.permutation(np.flatnonzero(rng.random(len(truth)) >= noise.missed))].reset_index(drop=True)
-    rows[["x_m", "y_m"]] += rng.normal(0, noise.position_m, (len(rows), 2))
-    rows[COLOURS] = recoloured(rows[COLOURS].to_numpy(float), noise, rng)
-    return rows
-
-
-def recoloured(rgb: np.ndarray, noise: Noise, rng: np.random.Generator) -> np.ndarray:
-    """Return colours as one sighting gives them, in whole levels 0-255."""
-    n = len(rgb)
-    shadow = np.where(rng.random((n, 1)) < noise.shadow_share, 0.65, 1.0)
-    gain = rng.normal(1, noise.gain, (n, 1))
-    level = rgb * gain * shadow + rng.normal(0, noise.common, (n, 1)) + rng.normal(0, noise.channel, (n, 3))
-    return np.clip(np.round(level), 0, 255)
-
-
 def labelled_pairs(
     scene: str, seeds: range, elapsed_s: float, missed: float, *, each: int, noise: Noise | None = None
 ) -> pd.DataFrame:
@@ -114,7 +82,7 @@ def labelled_pairs(
         truth = driven(scene, seed, PAIRS_EVERY_S * each + 10)
         for number in range(each):
             for image, t_s in enumerate((PAIRS_EVERY_S * number, PAIRS_EVERY_S * number + elapsed_s), 1):
-                rows = seen(truth[np.isclose(truth["t_s"], t_s)], noise, seed, number, image)
+                rows = seen(truth[np.isclose(truth["t_s"], t_s)], noise, np.random.default_rng((seed, number, image)))
                 found.append(rows.assign(pair=seed * 1000 + number, image=image, detection_id=np.arange(len(rows))))
     pairs = pd.concat(found, ignore_index=True).rename(columns={"vehicle": "truth_vehicle"})
     return pairs.assign(scene=scene, elapsed_s=elapsed_s, missed=missed).drop(columns="t_s")
@@ -126,7 +94,11 @@ def labelled_sequence(
     """Return the first *seconds* of a drive of *driven_s* as a sequence in the columns of the pinned ones."""
     truth = driven(scene, seed, driven_s)
     steps = truth["t_s"] / interval_s
-    rows = seen(truth[np.isclose(steps, steps.round()) & (truth["t_s"] < seconds)], Noise(missed=missed), seed)
+    rows = seen(
+        truth[np.isclose(steps, steps.round()) & (truth["t_s"] < seconds)],
+        Noise(missed=missed),
+        np.random.default_rng(seed),
+    )
     rows = rows.rename(columns={"vehicle": "truth_vehicle"})
     return rows.assign(seed=seed, interval_s=interval_s, missed=missed, detection_id=np.arange(len(rows)))
 

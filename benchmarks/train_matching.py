@@ -21,7 +21,8 @@ import numpy as np
 import pandas as pd
 from scipy.spatial import KDTree
 
-from benchmarks.training_traffic import KINDS, Noise, sightings, world
+from benchmarks.noise import Noise, seen
+from benchmarks.training_traffic import KINDS, world
 from vtrack_batch.matching.candidates import Edges, candidates
 from vtrack_batch.matching.decision import most_right, one_to_one
 from vtrack_batch.matching.features import (
@@ -113,8 +114,11 @@ def main() -> None:
         unseen[of_edge == k] = trees(x[of_edge != k], true[of_edge != k]).predict(x[of_edge == k])
     again = np.vstack([pair.heard_again(p) for pair, p in zip(pairs, np.split(unseen, cuts), strict=True)])
     left_out = of_edge == 0
-    judged = trees(again[~left_out], true[~left_out]).predict(again)
-    report([(pair, p) for pair, p in zip(pairs, np.split(judged, cuts), strict=True) if fold[pair.world] == 0])
+    second = trees(again[~left_out], true[~left_out])
+    rounds = [np.split(p, cuts) for p in (unseen, second.predict(again))]
+    report([(pair, *both) for pair, *both in zip(pairs, *rounds, strict=True) if fold[pair.world] == 0])
+    gain = pd.Series(second.feature_importance("gain"), [*BASE, *HEARD, *OWN])
+    print((100 * gain / gain.sum()).sort_values(ascending=False).head(12).round(1).to_string())
     args.out.write_text(as_text([trees(x, true), trees(again, true)]), encoding="utf-8")
 
 
@@ -132,7 +136,8 @@ def pairs_of_world(kind: str, seed: int) -> list[Pair]:
         times = np.unique(truth["t_s"])
         times = times[(times > ARCHIVE_S + 5) & (times < times.max() - elapsed_s)]
         for n, t_s in enumerate(rng.choice(times, PAIRS, replace=False)):
-            images = [sightings(truth[np.isclose(truth["t_s"], t)], noise, rng) for t in (t_s, t_s + elapsed_s)]
+            images = [seen(truth[np.isclose(truth["t_s"], t)], noise, rng) for t in (t_s, t_s + elapsed_s)]
+            images = [image.assign(detection_id=np.arange(len(image))) for image in images]
             pair = pair_of(images, elapsed_s, None if n in WITHOUT_MAP else flow, n not in WITHOUT_COLOUR)
             if pair is not None:
                 found.append(dataclasses.replace(pair, world=f"{kind}-{seed}", noise=noise))
@@ -142,11 +147,12 @@ def pairs_of_world(kind: str, seed: int) -> list[Pair]:
 
 def any_noise(rng: np.random.Generator) -> Noise:
     """Draw one of many kinds of seeing, from clear to bad."""
+    position_m, colour = float(rng.choice([0.2, 0.33, 0.33, 0.5, 1.0])), float(rng.choice([1, 1, 1.5, 2, 3]))
     return Noise(
-        position_m=float(rng.choice([0.2, 0.33, 0.33, 0.5, 1.0])),
-        colour=float(rng.choice([1, 1, 1.5, 2, 3])),
+        position_m,
+        *(colour * spread for spread in (Noise.gain, Noise.common, Noise.channel)),
         shadow_share=float(rng.choice([0.02, 0.02, 0.1])),
-        missed_share=float(rng.choice([0, 0.05, 0.1, 0.1, 0.15, 0.25])),
+        missed=float(rng.choice([0, 0.05, 0.1, 0.1, 0.15, 0.25])),
         false_share=float(rng.choice([0, 0, 0, 0.02])),
     )
 
@@ -154,7 +160,7 @@ def any_noise(rng: np.random.Generator) -> Noise:
 def flow_from_truth(truth: pd.DataFrame, elapsed_s: float, noise: Noise, rng: np.random.Generator) -> FlowMap:
     """Return a map as learning without truth would: hard links are missing more often, and a few are wrong."""
     on_time = np.isclose(np.round(truth["t_s"] / elapsed_s) * elapsed_s, truth["t_s"])
-    archive = sightings(truth[on_time], noise, rng)
+    archive = seen(truth[on_time], noise, rng)
     frames = dict(list(archive.groupby(np.round(archive["t_s"] / elapsed_s).astype(int))))
     hard_kept, wrong = rng.uniform(0.4, 0.9), rng.choice([0.002, 0.01, 0.02])
     xy, velocity = [np.zeros((0, 2))], [np.zeros((0, 2))]
@@ -194,8 +200,8 @@ def pair_of(images: list[pd.DataFrame], elapsed_s: float, flow: FlowMap | None, 
         return None
     edges, evidence = edges.select(keep), evidence.select(keep)
     around = Surroundings.of(a.xy, b.xy)
-    base = base_features(edges, evidence, around, a.xy, b.xy, elapsed_s=elapsed_s, flow_map=flow)
     heard = heard_features(edges, shares(edges, evidence.log_odds), around, a.xy, b.xy, elapsed_s=elapsed_s)
+    base = base_features(edges, evidence, around, a.xy, b.xy, heard=heard, elapsed_s=elapsed_s, flow_map=flow)
     vehicle = [
         image.set_index("detection_id")["vehicle"].loc[side.ids.astype(int)].to_numpy()
         for image, side in zip(images, (a, b), strict=True)
@@ -209,32 +215,36 @@ def trees(x: np.ndarray, true: np.ndarray) -> lightgbm.Booster:
     return lightgbm.train(dict(TREES), lightgbm.Dataset(x, true), ROUNDS)
 
 
-def report(judged: list[tuple[Pair, np.ndarray]]) -> None:
-    """Print rates and calibration on worlds left out, in all and by interval, noise and what was known."""
-    groups: dict[str, list[tuple[Pair, np.ndarray]]] = {}
-    for pair, p in judged:
+def report(judged: list[tuple[Pair, np.ndarray, np.ndarray]]) -> None:
+    """Print rates and calibration on worlds left out, in all and by interval, noise and what was known.
+
+    *judged* holds the probabilities of round one and of round two.
+    """
+    groups: dict[str, list[tuple[Pair, np.ndarray, np.ndarray]]] = {}
+    for pair, *p in judged:
         kinds = (
             "all",
             f"{pair.elapsed_s} s",
             "map" if pair.with_map else "no map",
-            f"colour noise x{pair.noise.colour}",
+            f"colour noise x{pair.noise.channel / Noise.channel:g}",
         )
-        for name in (*kinds, f"position noise {pair.noise.position_m} m", f"missed {pair.noise.missed_share:.0%}"):
-            groups.setdefault(name, []).append((pair, p))
-    print(f"{'worlds left out':<24} {'pairs':>5} {'Bayes %':>8} {'learned %':>9} {'ECE':>6}")
+        for name in (*kinds, f"position noise {pair.noise.position_m} m", f"missed {pair.noise.missed:.0%}"):
+            groups.setdefault(name, []).append((pair, p[0], p[1]))
+    print(f"{'worlds left out':<24} {'pairs':>5} {'Bayes %':>8} {'round 1 %':>9} {'round 2 %':>9} {'ECE':>6}")
     for name in sorted(groups):
-        rows, size = np.zeros((2, 2)), len(groups[name])
-        for pair, p in groups[name]:
+        rows, size = np.zeros((3, 2)), len(groups[name])
+        for pair, *p in groups[name]:
             odds = pair.base[:, BASE.index("log_odds")]
-            bayes = np.exp(odds) / (1 + np.exp(odds))
-            plain = Labels(bayes, bayes, np.full(pair.edges.n, 0.5), np.full(pair.edges.m, 0.5))
+            plainly = np.exp(odds) / (1 + np.exp(odds))
+            plain = Labels(plainly, plainly, np.full(pair.edges.n, 0.5), np.full(pair.edges.m, 0.5))
             rows[0] += pair.rate(one_to_one(pair.edges, plain))
-            rows[1] += pair.rate(most_right(pair.edges, labels_of(pair.edges, p)))
+            for row, of_round in zip(rows[1:], p, strict=True):
+                row += pair.rate(most_right(pair.edges, labels_of(pair.edges, of_round)))
         error = calibration_error(
-            np.concatenate([p for _, p in groups[name]]), np.concatenate([pair.true for pair, _ in groups[name]])
+            np.concatenate([p for *_, p in groups[name]]), np.concatenate([pair.true for pair, *_ in groups[name]])
         )
-        bayes_rate, rate = 100 * rows[:, 0] / rows[:, 1]
-        print(f"{name:<24} {size:>5} {bayes_rate:>8.2f} {rate:>9.2f} {error:>6.4f}")
+        bayes, one, two = 100 * rows[:, 0] / rows[:, 1]
+        print(f"{name:<24} {size:>5} {bayes:>8.2f} {one:>9.2f} {two:>9.2f} {error:>6.4f}")
 
 
 def calibration_error(p: np.ndarray, true: np.ndarray, *, least: float = 0.02, bins: int = 15) -> float:

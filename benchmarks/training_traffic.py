@@ -1,4 +1,4 @@
-"""Traffic to train the matcher on: many layouts, made by Eclipse SUMO from seeds, and sightings of it with noise.
+"""Traffic to train the matcher on: many layouts, made by Eclipse SUMO from seeds.
 
 Roads (one-way and two-way, straight and bent, with and without a slow exit), junctions (three to five arms, signals,
 priority, roundabouts), grids, spiders and random towns; every seed draws sizes, lanes, speed limits, signals and demand
@@ -7,17 +7,15 @@ anew. None is a layout of the pinned traffic that matching is scored on.
 
 from __future__ import annotations
 
-import subprocess
 import tempfile
 import xml.etree.ElementTree as ElementTree
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import sumo
 
-BIN = Path(sumo.SUMO_HOME) / "bin"
+from benchmarks.driving import floating_cars, run
+
 STEP_S = 0.25
 WARM_UP_S = 150.0
 KINDS = ("road", "jam", "two_way", "junction", "junction", "roundabout", "grid", "grid", "spider", "town")
@@ -25,17 +23,6 @@ PAINTS = {
     (235, 235, 232): 30, (25, 25, 27): 20, (120, 120, 122): 17, (185, 187, 190): 10, (45, 70, 135): 9,
     (160, 35, 38): 7, (100, 75, 55): 3, (55, 95, 60): 2, (215, 185, 50): 2,
 }  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Noise:
-    """How sightings differ from vehicles: metres, a factor on the spreads of colour, shares."""
-
-    position_m: float = 0.33
-    colour: float = 1.0
-    shadow_share: float = 0.02
-    missed_share: float = 0.1
-    false_share: float = 0.0
 
 
 def world(kind: str, seed: int, *, seconds: float = 600.0) -> pd.DataFrame:
@@ -48,24 +35,6 @@ def world(kind: str, seed: int, *, seconds: float = 600.0) -> pd.DataFrame:
         rows = _simulated(Path(folder), WARM_UP_S + seconds, int(rng.integers(1, 2**30)))
     rows = _cropped(rows[rows["t_s"] >= WARM_UP_S], kind, rng)
     return rows.merge(_fleet(rows["vehicle"].unique(), rng), on="vehicle")
-
-
-def sightings(truth: pd.DataFrame, noise: Noise, rng: np.random.Generator) -> pd.DataFrame:
-    """Return what a detector would see of *truth*, rows shuffled, and ``vehicle`` (-1 = a false alarm)."""
-    seen = truth[rng.random(len(truth)) >= noise.missed_share]
-    false = seen[rng.random(len(seen)) < noise.false_share].assign(vehicle=-1)
-    false[["x_m", "y_m"]] += rng.normal(0, 25, (len(false), 2))
-    false[["red", "green", "blue"]] = rng.uniform(30, 220, (len(false), 3))
-    seen = pd.concat([seen, false], ignore_index=True).sample(frac=1, random_state=int(rng.integers(2**31)))
-    n = len(seen)
-    gain = 1 + rng.normal(0, 0.04 * noise.colour, (n, 1))
-    gain *= np.where(rng.random((n, 1)) < noise.shadow_share, 0.65, 1.0)
-    rgb = seen[["red", "green", "blue"]].to_numpy(float) * gain
-    rgb += rng.normal(0, 3 * noise.colour, (n, 1)) + rng.normal(0, 3 * noise.colour, (n, 3))
-    xy = seen[["x_m", "y_m"]].to_numpy() + rng.normal(0, noise.position_m, (n, 2))
-    columns = {"detection_id": np.arange(n), "t_s": seen["t_s"].to_numpy(), "x_m": xy[:, 0], "y_m": xy[:, 1]}
-    colours = dict(zip(("red", "green", "blue"), np.clip(np.round(rgb), 0, 255).T, strict=True))
-    return pd.DataFrame(columns | colours | {"vehicle": seen["vehicle"].to_numpy()})
 
 
 def _fleet(vehicles: np.ndarray, rng: np.random.Generator) -> pd.DataFrame:
@@ -155,7 +124,7 @@ def _town(folder: Path, kind: str, rng: np.random.Generator) -> float:
         shape += ["--rand.max-distance", rng.uniform(120, 200)]
     more = ["--default.lanenumber", rng.integers(1, 4), "--default.speed", rng.uniform(11, 18)]
     more += ["-j", "traffic_light" if rng.random() < 0.7 else "priority", "--tls.cycle.time", rng.integers(50, 100)]
-    _run("netgenerate", *shape, *more, *seed, "--output-file", folder / "net.xml")
+    run("netgenerate", *shape, *more, *seed, "--output-file", folder / "net.xml")
     return float(rng.uniform(2200, 4800))
 
 
@@ -172,7 +141,7 @@ def _converted(
     (folder / "edg.xml").write_text(f"<edges>{''.join(lines)}</edges>")
     more = ["--roundabouts.guess", "true"] if roundabout else []
     files = ["--node-files", folder / "nod.xml", "--edge-files", folder / "edg.xml", "--no-turnarounds", "true"]
-    _run("netconvert", *files, *more, "--output-file", folder / "net.xml")
+    run("netconvert", *files, *more, "--output-file", folder / "net.xml")
 
 
 def _demand(folder: Path, rate_vph: float, until_s: float, rng: np.random.Generator) -> None:
@@ -219,31 +188,11 @@ def _border(net: Path) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
 
 
 def _simulated(folder: Path, until_s: float, seed: int) -> pd.DataFrame:
-    out = folder / "fcd.csv"
-    _run(
-        "sumo", "--net-file", folder / "net.xml", "--route-files", folder / "trips.xml", "--seed", seed,
-        "--end", until_s,
-        "--step-length", STEP_S, "--lanechange.duration", 3, "--fcd-output", out, "--time-to-teleport", 90,
-        "--fcd-output.attributes", "x,y,angle,type", "--ignore-route-errors", "true", "--begin", 0,
-        "--collision.action", "none",
-    )  # fmt: skip
-    rows = pd.read_csv(out, sep=";")
-    rows.columns = [c.removeprefix("timestep_").removeprefix("vehicle_") for c in rows.columns]
-    rows = rows.dropna(subset=["id"])
+    more = ("--time-to-teleport", 90, "--ignore-route-errors", "true", "--collision.action", "none")
+    given = {"step_s": STEP_S, "until_s": until_s, "seed": seed, "more": more}
+    rows = floating_cars(folder / "net.xml", folder / "trips.xml", folder, **given)
     half = rows["type"].str.split("@").str[0].map({"car": 2.25, "van": 2.95, "lorry": 4.75, "bus": 6.0}).to_numpy()
     angle = np.radians(rows["angle"].to_numpy())
-    return pd.DataFrame(
-        {
-            "t_s": rows["time"].to_numpy(float),
-            "vehicle": rows["id"].to_numpy(),
-            "x_m": rows["x"].to_numpy() - half * np.sin(angle),
-            "y_m": rows["y"].to_numpy() - half * np.cos(angle),
-        }
-    )
-
-
-def _run(name: str, *args: object) -> None:
-    command = [str(BIN / name), *(str(a) for a in args), "--no-warnings", "true"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise RuntimeError(f"{' '.join(command)}\n{done.stderr}")
+    rows["x_m"] -= half * np.sin(angle)
+    rows["y_m"] -= half * np.cos(angle)
+    return rows[["t_s", "vehicle", "x_m", "y_m"]]

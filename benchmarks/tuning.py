@@ -30,9 +30,9 @@ def training_pairs(scene: str, intervals_s: tuple[float, ...]) -> pd.DataFrame:
 
 
 @cache
-def training_sequences(scene: str, cells: tuple[tuple[float, float], ...]) -> pd.DataFrame:
-    """Return the first 90 s (grid 45 s) of another seed for each (interval, share missed)."""
-    driven_s, seconds = PAIRS_EVERY_S * PAIRS[scene] + 10, 45 if scene == "grid" else 90
+def training_sequences(scene: str, cells: tuple[tuple[float, float], ...], share: float = 1.0) -> pd.DataFrame:
+    """Return the first 90 s (grid 45 s) of another seed, or a *share* of that, for each (interval, share missed)."""
+    driven_s, seconds = PAIRS_EVERY_S * PAIRS[scene] + 10, share * (45 if scene == "grid" else 90)
     return joined(
         [
             sequences_as_sightings(labelled_sequence(scene, SEEDS[0], *cell, driven_s=driven_s, seconds=seconds))

@@ -13,11 +13,14 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from benchmarks.traffic import COLOURS, SHARED, Noise, recoloured
+from benchmarks.noise import COLOURS, Noise, recoloured
+from benchmarks.page import SHARED
 
 SUMO = SHARED / "sumo"
 SCENES = ("road", "congested", "crossing", "grid")
 INTERVALS_S = (0.5, 1.5, 2.5, 4.0)
+SONGDO_HZ, KIT_HZ, KIT_GSD_M = 29.97, 2, 0.12
+MOVES_M = 5.0
 START = pd.Timestamp("2026-05-17T08:00:00Z")
 
 Index = NDArray[np.int64]
@@ -77,9 +80,13 @@ def noisier(rows: pd.DataFrame, noise: Noise) -> pd.DataFrame:
 
 def songdo(interval_s: float, seed: int) -> pd.DataFrame:
     """Return a real junction (5 s) at a lower rate, 10 % dropped, jitter 0.3 m; *seed* also sets the first frame."""
-    rows = pd.read_csv(SHARED / "songdo" / "tracks.csv", usecols=["Frame_Number", "Local_X", "Local_Y", "Vehicle_ID"])
-    rows.columns = ["truth", "frame", "x_m", "y_m"]
-    return _thinned(rows, round(interval_s * 29.97), interval_s, seed)
+    return _thinned(songdo_tracks(), round(interval_s * SONGDO_HZ), interval_s, seed)
+
+
+def songdo_tracks() -> pd.DataFrame:
+    """Return ``truth, frame, x_m, y_m`` of the real junction, all frames."""
+    names = {"Vehicle_ID": "truth", "Frame_Number": "frame", "Local_X": "x_m", "Local_Y": "y_m"}
+    return pd.read_csv(SHARED / "songdo" / "tracks.csv", usecols=list(names)).rename(columns=names)[[*names.values()]]
 
 
 def skysat(interval_s: float, seed: int) -> pd.DataFrame:
@@ -88,6 +95,16 @@ def skysat(interval_s: float, seed: int) -> pd.DataFrame:
     rows = pd.read_csv(SHARED / "skysat" / "tracks.csv", header=None, usecols=range(6), names=names)
     rows = rows.assign(x_m=rows["col"] + rows["width"] / 2, y_m=-(rows["row"] + rows["height"] / 2))
     return _thinned(rows[["truth", "frame", "x_m", "y_m"]], round(interval_s * 30), interval_s, seed)
+
+
+def kit_boxes(interval_s: float, seed: int) -> pd.DataFrame:
+    """Return the boxes of MunichStreet02 (0.12 m a pixel, 10 s), 10 % dropped, jitter 0.3 m; ``counted`` = it moves."""
+    rows = pd.read_csv(SHARED / "kit-ais" / "MunichStreet02" / "tracks.csv").rename(columns={"id": "truth"})
+    rows = rows.assign(x_m=rows["left"] + rows["width"] / 2, y_m=-(rows["top"] + rows["height"] / 2))
+    rows[["x_m", "y_m"]] *= KIT_GSD_M
+    moved = rows.groupby("truth")[["x_m", "y_m"]].agg(np.ptp).max(axis=1)
+    rows = rows.assign(frame=rows["frame"] - rows["frame"].min(), counted=rows["truth"].map(moved) >= MOVES_M)
+    return _thinned(rows[["truth", "frame", "x_m", "y_m", "counted"]], round(interval_s * KIT_HZ), interval_s, seed)
 
 
 def _thinned(rows: pd.DataFrame, every: int, interval_s: float, seed: int) -> pd.DataFrame:
@@ -112,6 +129,18 @@ def label_rates(truth_1: Index, truth_2: Index, i: Index, k: Index) -> tuple[flo
     return right_1 / len(truth_1), right_2 / len(truth_2), (right_1 + right_2) / (len(truth_1) + len(truth_2))
 
 
+def mutual_rates(
+    truth_1: Index, truth_2: Index, best_1: NDArray[np.int32], best_2: NDArray[np.int32]
+) -> NDArray[np.float64]:
+    """Return the pooled label rate of mutual choice for each row of best partners (s, n), (s, m), -1 = none."""
+    right = np.zeros(len(best_1), np.int64)
+    for own, other, truths in ((best_1, best_2, (truth_1, truth_2)), (best_2, best_1, (truth_2, truth_1))):
+        back = np.take_along_axis(other, np.maximum(own, 0), axis=1)
+        chosen = np.where((own >= 0) & (back == np.arange(own.shape[1])), own, -1)
+        right += (chosen == _partners(*truths)).sum(axis=1)
+    return right / (len(truth_1) + len(truth_2))
+
+
 def _partners(truth: Index, other: Index) -> Index:
     """Return for each vehicle its row in the other image, -1 = it is not there."""
     row = pd.Series(np.arange(len(other)), index=other)
@@ -127,7 +156,11 @@ def links_of(track: Index, frame: Index) -> tuple[Index, Index]:
 
 
 def step_rates(rows: pd.DataFrame, track: Index) -> pd.DataFrame:
-    """Return the pooled label rate between every two successive frames of every sequence, by ``sequence, frame``."""
+    """Return the pooled label rate between every two successive frames of every sequence, by ``sequence, frame``.
+
+    Where *rows* have a column ``counted``, only the labels of these rows count; the others can still be wrong partners.
+    """
+    counts = rows.get("counted", True)
     table = rows[["sequence", "frame"]].assign(row=np.arange(len(rows)), truth=rows["truth"], track=track)
     right = np.zeros(len(rows)), np.zeros(len(rows))
     for step, into in zip((1, -1), right, strict=True):
@@ -137,8 +170,9 @@ def step_rates(rows: pd.DataFrame, track: Index) -> pd.DataFrame:
         found = table.merge(links, on=["sequence", "frame", "track"], how="left")["row_y"].fillna(-1)
         into[:] = true.to_numpy() == found.to_numpy()
     # the labels of a frame towards the next one, and of the next one back
-    ahead = table.assign(right=right[0]).groupby(["sequence", "frame"])["right"].agg(["sum", "size"])
-    behind = table.assign(right=right[1], frame=table["frame"] - 1).groupby(["sequence", "frame"])["right"]
+    table = table.assign(ahead=right[0], behind=right[1])[np.broadcast_to(counts, len(rows))]
+    ahead = table.groupby(["sequence", "frame"])["ahead"].agg(["sum", "size"])
+    behind = table.assign(frame=table["frame"] - 1).groupby(["sequence", "frame"])["behind"]
     both = ahead.join(behind.agg(["sum", "size"]), how="inner", suffixes=("_1", "_2"))
     rate = (both["sum_1"] + both["sum_2"]) / (both["size_1"] + both["size_2"])
     return rate.rename("rate").reset_index()

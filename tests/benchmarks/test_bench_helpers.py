@@ -9,9 +9,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from benchmarks.noise import Noise, seen
 from benchmarks.page import markdown_table, write_section
 from benchmarks.tuning import joined, pair_scores
-from benchmarks.work import identity, label_rates, links_of, movement_scores, step_rates
+from benchmarks.work import identity, label_rates, links_of, movement_scores, mutual_rates, step_rates
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +54,42 @@ def test_label_rate_is_that_of_the_scorer(score_pairs, seed):
     assert label_rates(*truth, i, k)[2] == pytest.approx(score_pairs.label_rate(*images, matches))
 
 
+def test_mutual_choice_counts_only_where_both_choose_each_other():
+    truth = np.array([7, 8, 6]), np.array([6, 9, 8, 5])
+    # row by row: all right; 8 chosen by one side only; nobody chooses anybody; two of image 1 want the same
+    best_1 = np.array([[-1, 2, 0], [-1, 2, 0], [-1, -1, -1], [2, 2, -1]])
+    best_2 = np.array([[2, -1, 1, -1], [2, -1, -1, -1], [-1, -1, -1, -1], [-1, -1, 0, -1]])
+    right = np.array([7, 5, 1 + 2, 0 + 2])
+    assert mutual_rates(*truth, best_1, best_2) == pytest.approx(right / 7)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_sweep_of_choices_is_counted_as_links_are(seed):
+    rng = np.random.default_rng(seed)
+    truth = [rng.permutation(12)[:size] for size in (9, 7)]
+    best_1, best_2 = rng.integers(-1, 7, (5, 9)), rng.integers(-1, 9, (5, 7))
+    for rate, one, two in zip(mutual_rates(*truth, best_1, best_2), best_1, best_2, strict=True):
+        i = np.array([n for n, k in enumerate(one) if k >= 0 and two[k] == n], int)
+        assert rate == pytest.approx(label_rates(*truth, i, one[i])[2])
+
+
+def test_noise_is_what_it_says_and_order_tells_nothing():
+    n = 4000
+    truth = pd.DataFrame(
+        {"vehicle": np.arange(n), "x_m": 100.0, "y_m": -50.0, "red": 90.0, "green": 140.0, "blue": 60.0}
+    )
+    rows = seen(truth, Noise(position_m=0.5, missed=0.2, false_share=0.1), np.random.default_rng(2))
+    true = rows[rows["vehicle"] >= 0]
+    assert 0.78 < len(true) / n < 0.82
+    assert 0.085 < (rows["vehicle"] < 0).sum() / len(true) < 0.115
+    assert 0.48 < true["x_m"].std() < 0.52
+    assert 99.9 < true["x_m"].mean() < 100.1
+    # gain of 4 % of 140, a common and an own error of 3 levels, one in fifty in shadow
+    assert 7 < true["green"].std() < 12
+    assert abs(np.corrcoef(np.arange(len(true)), true["vehicle"])[0, 1]) < 0.05
+    assert ((rows[["red", "green", "blue"]] % 1) == 0).all().all()
+
+
 def world() -> pd.DataFrame:
     """Three vehicles, four frames, one sequence: 1 goes east, 2 goes west, 3 is seen in two frames only."""
     rows = [(f, -30 + 20 * f, 0, 1) for f in range(4)] + [(f, 30 - 20 * f, 5, 2) for f in range(4)]
@@ -67,6 +104,15 @@ def test_truth_as_tracks_is_perfect():
     assert step_rates(rows, rows["truth"].to_numpy())["rate"].tolist() == [1.0, 1.0, 1.0]
     scores = movement_scores(rows, rows["truth"].to_numpy(), 8.0)
     assert scores == {"od_error": 0.0, "turn_error": 0.0, "geh": 1.0}
+
+
+def test_only_what_is_counted_counts():
+    rows = world()
+    track = rows["truth"].to_numpy().copy()
+    track[rows["truth"] == 2] = -1
+    assert step_rates(rows, track)["rate"].max() < 1
+    counted = rows.assign(counted=rows["truth"] != 2)
+    assert step_rates(counted, track)["rate"].tolist() == [1.0, 1.0, 1.0]
 
 
 def test_one_swap_costs_what_it_costs():

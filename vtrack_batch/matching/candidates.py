@@ -62,15 +62,16 @@ def pairs_within(a_xy: Array, b_xy: Array, radius: float, *, p: float, limit: in
     band = np.floor((b_xy[:, 1] - low[1]) / side).astype(np.int64)
     order = np.lexsort((b_xy[:, 0], band))
     bands = _Bands(order, np.ascontiguousarray(b_xy[order]), band[order], np.array([low[1], side]))
-    box = p == np.inf
-    count = _count_near(np.ascontiguousarray(a_xy, float), bands, radius, box)
+    given = (np.ascontiguousarray(a_xy, float), bands, radius, p == np.inf)
+    nothing = np.zeros(0, np.int64)
+    count = _near(*given, nothing, nothing)
     if int(count.sum()) > limit:
         raise UnusableData(
             f"{count.sum()} pairs of {len(a_xy)} and {len(b_xy)} points lie within {radius:.1f} of one another, more "
             f"than {limit}: is the unit of the coordinates metres, and is the interval right?"
         )
-    start = np.concatenate([[0], np.cumsum(count)])
-    near = _near(np.ascontiguousarray(a_xy, float), bands, radius, box, start)
+    near = np.empty(int(count.sum()), np.int64)
+    _near(*given, np.cumsum(count) - count, near)
     return np.repeat(np.arange(len(a_xy)), count), near
 
 
@@ -100,7 +101,8 @@ def _span(bands, band, low_x):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _count_near(a, bands, radius, box):  # type: ignore[no-untyped-def]
+def _near(a, bands, radius, box, start, near):  # type: ignore[no-untyped-def]
+    """Count the points near each of *a*; write their rows into *near* from ``start[i]`` on, unless it is empty."""
     count = np.zeros(len(a), np.int64)
     for i in range(len(a)):
         middle = int(np.floor((a[i, 1] - bands.origin[0]) / bands.origin[1]))
@@ -110,23 +112,9 @@ def _count_near(a, bands, radius, box):  # type: ignore[no-untyped-def]
                 if bands.band[s] != band or dx > radius:
                     break
                 if abs(dx) <= radius and abs(dy) <= radius and (box or dx * dx + dy * dy <= radius * radius):
+                    if len(near):
+                        near[start[i] + count[i]] = bands.order[s]
                     count[i] += 1
+        if len(near):
+            near[start[i] : start[i] + count[i]].sort()
     return count
-
-
-@njit(cache=True, nogil=True)
-def _near(a, bands, radius, box, start):  # type: ignore[no-untyped-def]
-    near = np.empty(start[-1], np.int64)
-    for i in range(len(a)):
-        at = start[i]
-        middle = int(np.floor((a[i, 1] - bands.origin[0]) / bands.origin[1]))
-        for band in range(middle - 1, middle + 2):
-            for s in range(_span(bands, band, a[i, 0] - radius), len(bands.band)):
-                dx, dy = bands.xy[s, 0] - a[i, 0], bands.xy[s, 1] - a[i, 1]
-                if bands.band[s] != band or dx > radius:
-                    break
-                if abs(dx) <= radius and abs(dy) <= radius and (box or dx * dx + dy * dy <= radius * radius):
-                    near[at] = bands.order[s]
-                    at += 1
-        near[start[i] : at].sort()
-    return near
