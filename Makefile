@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .PHONY: help demo test test-slow check format docs lock clean \
-        accuracy bench-matching bench-tracks bench-paper bench-seeing bench-speed bench-oracles bench-scale bench-faults bench-archive train-matching
+        accuracy bench-matching bench-tracks bench-paper bench-seeing bench-speed bench-oracles bench-scale bench-faults bench-archive bench-engine train-matching
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -79,6 +79,9 @@ bench-faults: $(VENV)/dev ## make every change of the disk fail, and kill at ran
 
 bench-archive: $(VENV)/runtime ## how the engine scales with frames: docs/performance.md
 	$(BIN)/python -m benchmarks.scale_archive 100000 1000000
+
+bench-engine: $(VENV)/dev ## publishing years, the engine's share, workers, a unit on Dask: docs/performance.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.engine
 
 train-matching: $(VENV)/dev ## train the learned link score anew on simulated traffic, write it into the package
 	$(BIN)/python -m benchmarks.train_matching

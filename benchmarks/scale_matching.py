@@ -13,18 +13,22 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow.parquet as pq
 
 from benchmarks.environment import ONE_THREAD
-from benchmarks.page import PERFORMANCE, PROJECT, markdown_table, stamp, write_section
+from benchmarks.page import PERFORMANCE, PROJECT, SHARED, markdown_table, stamp, write_section
 
-ARCHIVE = PROJECT.parent / "shared" / "data" / "sumo" / "archive_grid.parquet"
+ARCHIVE = SHARED / "sumo" / "archive_grid.parquet"
 SIZES = (50, 1250, 2500, 5000, 10_000)
 METHODS = ("proposed", "untrained", "default")
-FRAMES = (200, 400, 800, 1600)
+FRAMES = (200, 400, 800)
+FILE_FRAMES = (1000, 4000)
 INTERVAL_S = 1.5
 
 
@@ -32,7 +36,8 @@ def main() -> None:
     """Measure every row in its own process, print and write the tables; with arguments, measure one row."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--row", help="measure one row, as JSON")
-    parser.add_argument("--frames", type=int, nargs="*", default=FRAMES)
+    parser.add_argument("--frames", type=int, nargs="*", default=FRAMES, help="lengths tracked in memory")
+    parser.add_argument("--file-frames", type=int, nargs="*", default=FILE_FRAMES, help="lengths tracked from a file")
     arguments = parser.parse_args()
     if arguments.row:
         work = json.loads(arguments.row)
@@ -41,6 +46,8 @@ def main() -> None:
     pairs = [measured({"what": "pair", "method": m, "size": n}) for m in METHODS for n in SIZES]
     swept = measured({"what": "sweep"})
     days = [measured({"what": "sequence", "method": m, "frames": n}) for m in METHODS[1:] for n in arguments.frames]
+    with TemporaryDirectory() as folder:
+        days += [measured(written(Path(folder), frames)) for frames in arguments.file_frames]
     text = "\n\n".join([pair_table(pairs), sweep_line(swept), day_table(days), stamp("make bench-scale")])
     write_section(PERFORMANCE, "scale of matching", f"## Matching and tracking at scale\n\n{text}")
     print(text)
@@ -91,7 +98,23 @@ def sequence_row(method: str, frames: int) -> dict[str, Any]:
     return {"method": method, "frames": frames, "seconds": seconds, **found}
 
 
-ROWS: dict[str, Callable[..., dict[str, Any]]] = {"pair": pair_row, "sweep": sweep_row, "sequence": sequence_row}
+def file_row(path: str, frames: int) -> dict[str, Any]:
+    """Track a Parquet table as ``vtrack-batch track`` does: read by row groups, written window by window."""
+    from vtrack_batch.pipeline.tables import track_file
+
+    start = time.process_time()
+    made = track_file(Path(path), Path(path).with_suffix(""))
+    seconds = time.process_time() - start
+    found = {"sightings": pq.ParquetFile(path).metadata.num_rows, "tracks": made["trajectories"]}
+    return {"method": "default, from file to files", "frames": frames, "seconds": seconds, **found}
+
+
+ROWS: dict[str, Callable[..., dict[str, Any]]] = {
+    "pair": pair_row,
+    "sweep": sweep_row,
+    "sequence": sequence_row,
+    "file": file_row,
+}
 
 
 def town(size: int, seed: int = 0) -> list[pd.DataFrame]:
@@ -125,6 +148,13 @@ def sequence(frames: int) -> pd.DataFrame:
     rows = rows[rows["frame"] < frames].reset_index(drop=True)
     t_utc = pd.Timestamp("2026-05-17T00:00:00Z") + pd.to_timedelta(rows["frame"] * INTERVAL_S, unit="s")
     return rows[["x_m", "y_m", "red", "green", "blue"]].assign(detection_id=np.arange(len(rows)), t_utc=t_utc)
+
+
+def written(folder: Path, frames: int) -> dict[str, Any]:
+    """Write *frames* as a Parquet table in row groups of 100,000 rows; returns the row that tracks it."""
+    path = folder / f"{frames}.parquet"
+    sequence(frames).to_parquet(path, row_group_size=100_000, index=False)
+    return {"what": "file", "path": str(path), "frames": frames}
 
 
 def least(run: Callable[[], Any], times: int) -> float:

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from benchmarks.environment import run_peer
 from vtrack_batch.archive.decode import decode
-from vtrack_batch.background.learn import Sample, learn_background
 from vtrack_batch.background.params import BackgroundParams
 from vtrack_batch.model import homography
 from vtrack_batch.registration.alignment import register
 from vtrack_batch.registration.params import RegistrationParams
 from vtrack_batch.registration.reference import prepare_reference
+from vtrack_batch.registration.steady import steady_patches
 
 Pixels = NDArray[np.uint8]
 Matrix = NDArray[np.float64]
@@ -88,28 +88,20 @@ def errors_px(work: Flown, poses: Sequence[Matrix | None]) -> NDArray[np.float64
 
 
 def ours(work: Flown) -> Timed:
-    """Lay frames as a run does: on patches away from traffic, which a first look at some of the frames tells."""
+    """Lay frames as a run does: on the patches that a first look at some of the frames finds steady."""
     params = RegistrationParams()
     reference = read(work.paths[work.reference])
     rough = prepare_reference(reference, params=params)
-    samples = [Sample(reference, np.eye(3))]
     most = max(3, min(BackgroundParams().samples, int(1e9 / reference.nbytes)))
-    for i in np.unique(np.linspace(0, len(work.paths) - 1, most).astype(int)):
-        if i != work.reference:
-            pixels = read(work.paths[i])
-            pose = register(pixels, rough, params=params)
-            if pose.accepted:
-                samples.append(Sample(pixels, pose.frame_to_reference))
-    calm = prepare_reference(
-        reference, avoid=learn_background(samples, params=BackgroundParams()).activity, params=params
-    )
-    del samples
+    chosen = np.unique(np.linspace(0, len(work.paths) - 1, most).astype(int))
+    laid = [register(read(work.paths[i]), rough, params=params) for i in chosen if i != work.reference]
+    steady, _ = steady_patches(rough, [pose for pose in laid if pose.accepted], params=params)
 
-    def laid(pixels: Pixels) -> Matrix | None:
-        pose = register(pixels, calm, params=params)
+    def pose_of(pixels: Pixels) -> Matrix | None:
+        pose = register(pixels, steady, params=params)
         return pose.frame_to_reference if pose.accepted else None
 
-    return timed(work, laid)
+    return timed(work, pose_of)
 
 
 def orb(work: Flown) -> Timed:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import ast
 import re
+import tomllib
 from pathlib import Path
+
+from vtrack_batch.pipeline.doctor import examine
 
 PROJECT = Path(__file__).resolve().parents[1]
 PAGE = (PROJECT / "docs" / "reliability.md").read_text(encoding="utf-8")
@@ -31,6 +34,17 @@ def test_every_test_that_is_named_is_there() -> None:
     there = set(re.findall(r"def (test_\w+)", source))
     named = set(re.findall(r"`(test_\w+)`", PAGE))
     assert not named - there
+
+
+def test_decoders_are_bounded_below_pinned_and_shown() -> None:
+    """Fault 83: which decoder read a frame is known, and none older than those that were tried can be installed."""
+    dependencies = tomllib.loads((PROJECT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["dependencies"]
+    pins = (PROJECT / "requirements.lock").read_text(encoding="utf-8")
+    shown = next(finding.value for finding in examine(None) if finding.name == "packages")
+    for decoder in ("opencv-python-headless", "pillow", "rasterio", "simplejpeg"):
+        assert [text for text in dependencies if text.startswith(f"{decoder}>=")], decoder
+        assert re.search(rf"^{decoder}==[^\n]*\\\n +--hash=sha256:", pins, re.MULTILINE), decoder
+        assert shown[decoder] != "-"
 
 
 def test_nothing_read_is_executed() -> None:

@@ -16,7 +16,7 @@ MOST_LINES = 400
 
 CHAPTERS = {
     "archive", "georeference", "registration", "background", "detection", "matching",
-    "tracking", "traffic", "evaluation", "simulation", "report",
+    "completeness", "tracking", "revision", "traffic", "evaluation", "simulation", "report",
 }  # fmt: skip
 NOUNS = {"model", "errors"}
 BELOW_PIPELINE = {"config", "storage", *CHAPTERS, *NOUNS}
@@ -28,6 +28,7 @@ MAY_IMPORT = {
     "storage": NOUNS,
     **dict.fromkeys(CHAPTERS, NOUNS),
     "detection": {"background", *NOUNS},
+    "completeness": {"background", "detection", *NOUNS},
     "tracking": {"matching", *NOUNS},
     "simulation": {"traffic", "georeference", "storage", *NOUNS},
     "config": {*(f"{chapter}.params" for chapter in CHAPTERS), *NOUNS},

@@ -1,5 +1,6 @@
 """What a scan of a directory finds, and what it puts aside with which reason."""
 
+import errno
 import os
 import random
 from pathlib import Path
@@ -297,6 +298,18 @@ class TestArchiveItself:
         with pytest.raises(NoArchive, match="0 of 7 known frames found; is it mounted"):
             look(tmp_path, known=known)
 
+    def test_names_that_look_alike_are_two_files(self, tmp_path):
+        """Fault 58: names are the bytes found; what a file system does not fold is not folded here."""
+        names = [f"{folder}/20260517T060000.jpg" for folder in ("caf\u00e9", "cafe\u0301", "CAFE")]
+        for name in names:
+            put(tmp_path, name, content=name.encode())
+        files = look(tmp_path).files
+        found = {content_hash(read_bytes(tmp_path, path)) for path in files["path"]}
+        kept = {content_hash(path.read_bytes()) for path in tmp_path.rglob("*.jpg")}
+        assert found == kept
+        assert files["platform"].nunique() == len(files) == len(kept)
+        assert resolve_duplicates(files.assign(sha256="one"))[1].empty
+
     def test_links_and_pipes_are_not_followed(self, tmp_path):
         put(tmp_path, "a/20260517T060000.jpg")
         (tmp_path / "a" / "loop").symlink_to(tmp_path / "a")
@@ -368,9 +381,12 @@ class TestRead:
         with pytest.raises(UnusableFrame, match="changed_while_reading"):
             read_bytes(tmp_path, "a.jpg")
 
-    def test_read_errors_are_retried(self, tmp_path, monkeypatch):
+    @pytest.mark.parametrize("code", [errno.EIO, errno.ESTALE])
+    def test_read_errors_are_retried(self, tmp_path, monkeypatch, code):
+        """Faults 42 and 48."""
         put(tmp_path, "a.jpg")
-        real, failures = os.open, [OSError(5, "Input/output error")]
+        monkeypatch.setattr("vtrack_batch.archive.read.time.sleep", lambda _: None)
+        real, failures = os.open, [OSError(code, os.strerror(code))]
 
         def flaky(*arguments):
             if failures:
@@ -379,7 +395,7 @@ class TestRead:
 
         monkeypatch.setattr("vtrack_batch.archive.read.os.open", flaky)
         assert read_bytes(tmp_path, "a.jpg") == b"x"
-        failures += [OSError(5, "Input/output error")] * 3
+        failures += [OSError(code, os.strerror(code))] * 3
         with pytest.raises(UnusableFrame, match="io_error"):
             read_bytes(tmp_path, "a.jpg")
 

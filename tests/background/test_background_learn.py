@@ -5,7 +5,7 @@ import pickle
 import numpy as np
 import pytest
 
-from vtrack_batch.background.learn import Background, Sample, learn_background
+from vtrack_batch.background.learn import Background, Sample, _tile, learn_background
 from vtrack_batch.background.params import BackgroundParams
 
 HEIGHT, WIDTH = 150, 260
@@ -88,6 +88,47 @@ def test_road_is_found_under_a_queue_that_stands_most_of_the_time() -> None:
     background = learn_background(samples, params=PARAMS)
     found = background.pixels[78:84, 120:134].reshape(-1, 3).mean(axis=0)
     assert np.abs(found - ground()[78:84, 120:134].reshape(-1, 3).mean(axis=0)).max() < 8
+
+
+def grey_queue() -> Background:
+    """Two cars nearly as grey as the road stand one after the other, for 14 of 20 samples; then leaves that sway."""
+    rng = np.random.default_rng(5)
+    samples = []
+    for i in range(20):
+        land = ground()
+        land[66:72, 8 * i % 200 : 8 * i % 200 + 14] = (240, 240, 240)
+        if i >= 6:
+            land[78:84, 120:134] += 18 if i < 13 else -18
+            land[78:84, 123:126] = 40
+            land[84:86, 120:134] *= 0.5
+        land[20:40, 60:80] += rng.uniform(-45, 45)
+        samples.append(Sample(shot(land, i), np.eye(3)))
+    return learn_background(samples, params=PARAMS)
+
+
+def test_grey_cars_that_stand_most_of_the_time_are_not_taken_for_road() -> None:
+    off = grey_queue().pixels[79:83, 121:133].astype(float) - ground()[79:83, 121:133]
+    assert np.abs(off.reshape(-1, 3).mean(axis=0)).max() < 4
+    assert np.abs(off).max() < 14
+
+
+def test_tolerance_is_that_of_the_road_under_a_queue_and_wide_under_leaves() -> None:
+    tolerance = grey_queue().tolerance.astype(float)
+    free = tolerance[78:84, 200:240].mean()
+    assert abs(tolerance[79:83, 121:133].mean() - free) < 4
+    assert tolerance[22:38, 62:78].mean() > free + 8
+
+
+@pytest.mark.parametrize(("corner", "window_px"), [((0, 0), 13), ((48, 256), 13), ((96, 0), 35)])
+def test_tiles_know_what_lies_around_them(corner: tuple[int, int], window_px: int) -> None:
+    size, whole = (48, 200), (144, 456)
+    (rows, columns), inside = _tile(corner, size, whole, window_px)
+    assert (rows[0] + inside[0].start, columns[0] + inside[1].start) == corner
+    assert rows[1] <= 144
+    assert columns[0] % 8 == 0
+    for start, stop, first, last, most in zip(corner, size, *zip(rows, columns, strict=True), whole, strict=True):
+        assert first == 0 or window_px // 2 <= start - first < window_px // 2 + 8
+        assert last == most or last >= start + stop + window_px // 2
 
 
 def test_platform_motion_is_followed() -> None:

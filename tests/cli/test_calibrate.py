@@ -9,8 +9,6 @@ from vtrack_batch.cli import _outcome
 from vtrack_batch.config.load import load_survey
 from vtrack_batch.pipeline.calibrate import METHODS
 
-pytest.importorskip("sumo")
-
 SURVEY = """\
 survey: {name: a street, time_zone: Europe/Berlin}
 archive: {root: frames, pattern: "{time:%Y%m%dT%H%M%SZ}.jpg"}

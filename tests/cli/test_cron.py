@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -89,6 +90,16 @@ def test_status_loads_nothing_slow_when_nothing_changed(survey: Path) -> None:
     assert done.stdout.splitlines() == ["snapshot 1; 2 frames, 0 files set aside", "due: nothing", "0 []"] or (
         done.stdout.splitlines()[-1] == "0 []"
     )
+
+
+def test_a_reader_that_goes_away_is_no_error(survey: Path) -> None:
+    """Fault 37: as in `status | head -0`."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = [sys.executable, "-m", "vtrack_batch", "status", "survey.yaml"]
+    done = subprocess.run(command, cwd=survey, stdout=writing, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(writing)
+    assert done.stderr == ""
 
 
 def test_commands_of_upkeep_answer(survey: Path) -> None:

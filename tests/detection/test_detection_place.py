@@ -5,7 +5,8 @@ import pytest
 
 from vtrack_batch.detection.candidates import Candidates
 from vtrack_batch.detection.params import DetectionParams
-from vtrack_batch.detection.place import Place, learn_place, select
+from vtrack_batch.detection.place import Place, flag_outside, learn_place, select
+from vtrack_batch.model.flags import DetectionFlag
 
 PARAMS = DetectionParams()
 GSD = (0.4, 0.25)
@@ -90,6 +91,16 @@ def test_few_strong_ones_off_the_road_are_believed() -> None:
     place = learn(frames, poses, times)
     kept = select(frames[2], poses[2], place, frame=2, params=PARAMS)
     assert kept.tolist() == [True] * 5 + [False] + [True] * 2
+
+
+def test_off_the_road_is_flagged_where_a_road_was_learned() -> None:
+    frames, poses, times = archive(roofs=2)
+    place = learn(frames, poses, times)
+    flags = flag_outside(frames[2], poses[2], place).flags
+    assert (flags & DetectionFlag.OUTSIDE_ROAD > 0).tolist() == [False] * 5 + [True] * 3
+    assert (flags & ~DetectionFlag.OUTSIDE_ROAD).tolist() == frames[2].flags.tolist()
+    unlearned = learn(frames[:1], poses[:1], times[:1])
+    assert flag_outside(frames[0], poses[0], unlearned).flags.tolist() == frames[0].flags.tolist()
 
 
 def test_poses_are_taken_out() -> None:

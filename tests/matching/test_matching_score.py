@@ -14,6 +14,7 @@ from vtrack_batch.matching.features import BASE, HEARD, OWN
 from vtrack_batch.matching.flow import FlowMap
 from vtrack_batch.matching.match import match
 from vtrack_batch.matching.score import FORMAT, Model, against_none, labels_of, shipped_model
+from vtrack_batch.matching.trees import Trees
 
 COLOURS = ["red", "green", "blue"]
 STUMP = {"column": [5, -1, -1], "threshold": [0.5, -2.0, 3.0], "left": [1, 0, 0], "right": [2, 0, 0]}
@@ -56,6 +57,42 @@ def test_trees_are_walked_as_written():
     x = np.zeros((3, len(BASE) + len(HEARD)))
     x[:, 5] = [0.4, 0.5, 0.6]
     np.testing.assert_allclose(trees.probability(x), 1 / (1 + np.exp(-np.array([-4.0, -4.0, 6.0]))))
+
+
+def grown(rng, leaves, columns=4):
+    """A tree of nodes, grown by splitting leaves at random; thresholds are few, so that rows lie on them."""
+    tree = {"column": [-1], "threshold": [rng.normal()], "left": [0], "right": [0]}
+    for _ in range(leaves - 1):
+        node = int(rng.choice(np.flatnonzero(np.array(tree["column"]) < 0)))
+        tree["column"][node], tree["threshold"][node] = int(rng.integers(columns)), float(rng.integers(-3, 4))
+        tree["left"][node], tree["right"][node] = len(tree["column"]), len(tree["column"]) + 1
+        for key, value in (("column", -1), ("left", 0), ("right", 0)):
+            tree[key] += [value, value]
+        tree["threshold"] += [float(rng.normal()), float(rng.normal())]
+    return tree
+
+
+def walked(tree, row):
+    node = 0
+    while tree["column"][node] >= 0:
+        node = tree["left" if row[tree["column"][node]] <= tree["threshold"][node] else "right"][node]
+    return tree["threshold"][node]
+
+
+@pytest.mark.parametrize("leaves", [1, 2, 7, 32])
+def test_tabled_trees_reach_the_leaves_that_walking_reaches(leaves):
+    rng = np.random.default_rng(leaves)
+    trees = [grown(rng, leaves) for _ in range(9)]
+    x = np.vstack([rng.integers(-4, 5, (150, 4)), rng.normal(0, 3, (150, 4))]).astype(float)
+    by_walking = [sum(walked(tree, row) for tree in trees) for row in x]
+    np.testing.assert_allclose(Trees.of(trees, 4).probability(x), 1 / (1 + np.exp(-np.array(by_walking))), rtol=1e-12)
+
+
+def test_trees_beyond_the_table_are_refused():
+    with pytest.raises(ValueError, match="33 leaves"):
+        Trees.of([grown(np.random.default_rng(0), 33)], 4)
+    with pytest.raises(ValueError, match="column that is not there"):
+        Trees.of([grown(np.random.default_rng(0), 9)], 1)
 
 
 @pytest.mark.parametrize(

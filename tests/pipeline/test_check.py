@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,35 @@ def checked(folder: Path, *zones: dict[str, object], gsd_m: float = 0.3) -> Chec
     collection = {"type": "FeatureCollection", "vtrack_coordinates": "local_m", "features": zones}
     (folder / "z.geojson").write_text(json.dumps(collection))
     return check_survey(load_survey(folder / "survey.yaml"))
+
+
+def photographed(folder: Path, taken: list[str], zone: str = "Europe/Berlin") -> list[str]:
+    """Return the problems of frames named 06:00:00, 06:00:01 … UTC whose EXIF says *taken*."""
+    (folder / "frames").mkdir()
+    for second, text in enumerate(taken):
+        tags = Image.Exif()
+        tags.get_ifd(0x8769)[0x9003] = f"2026:05:17 {text}"
+        path = folder / "frames" / f"20260517T06000{second}Z.jpg"
+        Image.fromarray(np.zeros((80, 200, 3), np.uint8)).save(path, exif=tags)
+    text = f"archive: {{root: frames, time_zone: {zone}}}\ngeoreference: {{gsd_m: 0.3}}\n"
+    (folder / "survey.yaml").write_text(text)
+    return [problem for problem in check_survey(load_survey(folder / "survey.yaml")).problems if "EXIF" in problem]
+
+
+@pytest.mark.parametrize(
+    ("taken", "told"),
+    [
+        (["08:00:00", "08:00:01", "08:00:03"], None),  # Berlin in summer, and a second of rounding
+        (["07:00:00", "07:00:01", "07:00:02"], "3 of 3 frames .*-3600 s.*time zone or summer time"),
+        (["08:00:00", "08:00:01", "08:10:02"], "1 of 3 frames .*clocks is wrong"),
+        (["08:01:40", "08:01:41", "08:01:42"], r"3 of 3 frames .*\+100 s.*clocks is wrong"),
+    ],
+)
+def test_clocks_that_disagree_are_told(tmp_path: Path, taken: list[str], told: str | None) -> None:
+    """Fault 21."""
+    found = photographed(tmp_path, taken)
+    assert len(found) == (told is not None)
+    assert told is None or re.search(told, found[0])
 
 
 def test_zones_in_view_are_no_problem(tmp_path: Path) -> None:

@@ -129,6 +129,17 @@ def test_a_changed_bin_redoes_the_traffic_only(archive: Path, golden: Path) -> N
     assert run(archive).done == {"detect": 0, "track": 0, "traffic": 1, "picture": 1}
 
 
+def test_a_flow_map_is_part_of_what_tracks_are_made_of(archive: Path, golden: Path) -> None:
+    shutil.copytree(golden / "results", archive / "results", symlinks=True)
+    with (archive / "survey.yaml").open("a") as stream:
+        stream.write("flow_map: place.flow\n")
+    with pytest.raises(ConfigError, match="no such flow map"):
+        run(archive)
+    for speed_mps, work in ((8.0, 1), (9.0, 1), (9.0, 0)):
+        vt.FlowMap(np.array([[10.0, -20.0]]), np.array([[speed_mps, 0.0]])).save(archive / "place.flow")
+        assert run(archive).done == {"detect": 0, "track": work, "traffic": work, "picture": work}
+
+
 def test_former_parameters_are_published_again_without_work(archive: Path, golden: Path) -> None:
     shutil.copytree(golden / "results", archive / "results", symlinks=True)
     former, before = (archive / "survey.yaml").read_text(), tree((archive / "results" / "current").resolve())

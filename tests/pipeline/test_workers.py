@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import importlib.util
+import itertools
 import os
+import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,6 +21,8 @@ import pandas as pd
 import poison
 import pytest
 import stub
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from little import tree
 
 import vtrack_batch as vt
@@ -165,49 +171,148 @@ def children_of(pid: int) -> list[int]:
 # many machines ----------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def cluster() -> Iterator[Any]:
-    """A scheduler and two workers in processes of their own."""
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, memory_limit=0
-    ) as made:
-        yield made
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[str]:
+    """The address of a scheduler with two workers, all in processes of their own; workers that die are replaced."""
+    with dask_processes() as (address, _):
+        yield address
 
 
-@needs_dask
-def test_a_cluster_gives_the_same_bytes_and_names_the_culprit(
-    survey: Path, cluster: Any, golden: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    use(monkeypatch, stub.detect)
-    run_survey(vt.load_survey(survey / "survey.yaml"), orders=Orders(cluster=cluster.scheduler_address))
-    assert published(survey) == golden
-    other = stub.stub_archive(tmp_path / "other", FRAMES)
-    use(monkeypatch, poisoned_by(other, {9: "exit"}))
-    run_survey(vt.load_survey(other / "survey.yaml"), orders=Orders(cluster=cluster.scheduler_address))
-    names = [path.name for path in sorted((other / "frames").iterdir())]
-    assert quarantine(other).to_dict() == {names[9]: "worker_died"}
-    assert published(other) == without(other, [9], tmp_path, monkeypatch)
+@contextmanager
+def dask_processes() -> Iterator[tuple[str, list[subprocess.Popen[str]]]]:
+    """Start a scheduler and two workers under a nanny; gives the address, and the processes, the scheduler first."""
+    # a task is given up at its worker's first death, or a culprit takes minutes to find
+    environment = {**os.environ, "PYTHONPATH": str(HERE), "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}
+    begun: list[subprocess.Popen[str]] = []
 
-
-@needs_dask
-def test_losing_the_scheduler_loses_nothing_that_was_done(
-    survey: Path, cluster: Any, golden: dict[str, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def close_at_first(event: str, **_: Any) -> None:
-        if event == "done":
-            cluster.close()
-
-    use(monkeypatch, stub.detect)
-    with pytest.raises(StorageError, match="scheduler"):
-        run_survey(
-            vt.load_survey(survey / "survey.yaml"),
-            orders=Orders(cluster=cluster.scheduler_address),
-            tell=close_at_first,
+    def begin(module: str, *more: str) -> subprocess.Popen[str]:
+        command = [sys.executable, "-m", f"distributed.cli.{module}", "--no-dashboard", *more]
+        begun.append(
+            subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True, start_new_session=True)
         )
-    report = run_survey(vt.load_survey(survey / "survey.yaml"))
-    assert report.done["detect"] < 4
+        return begun[-1]
+
+    try:
+        scheduler = begin("dask_scheduler", "--host", "127.0.0.1", "--port", "0")
+        address = told(scheduler, r"Scheduler at:\s+(tcp://\S+)")
+        for _ in range(2):
+            worker = begin("dask_worker", address, "--nthreads", "1", "--nworkers", "1", "--memory-limit", "0")
+            told(worker, r"Registered to:\s+(tcp://\S+)")
+        yield address, begun
+    finally:
+        for process in reversed(begun):
+            os.killpg(process.pid, signal.SIGKILL)  # and the workers of a nanny
+        for process in begun:
+            process.wait()
+            assert process.stderr is not None
+            process.stderr.close()
+
+
+def told(process: subprocess.Popen[str], pattern: str) -> str:
+    """Return what *process* says of itself; what it says afterwards is read and thrown away."""
+    assert process.stderr is not None
+    for line in process.stderr:
+        found = re.search(pattern, line)
+        if found:
+            threading.Thread(target=process.stderr.read, daemon=True).start()
+            return found[1]
+    raise AssertionError(f"{process.args} ended")
+
+
+@needs_dask
+def test_a_cluster_gives_the_same_bytes(
+    survey: Path, cluster: str, golden: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use(monkeypatch, stub.detect)
+    run_survey(vt.load_survey(survey / "survey.yaml"), orders=Orders(cluster=cluster))
     assert published(survey) == golden
+
+
+@needs_dask
+@pytest.mark.slow
+@pytest.mark.parametrize("harm", list(poison.HARM))
+def test_a_cluster_sets_poisoned_frames_aside_and_no_other(
+    survey: Path, cluster: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, harm: str
+) -> None:
+    """Faults 9 to 11 on many machines."""
+    use(monkeypatch, poisoned_by(survey, {9: harm}))
+    report = run_survey(vt.load_survey(survey / "survey.yaml"), orders=Orders(cluster=cluster))
+    names = [path.name for path in sorted((survey / "frames").iterdir())]
+    assert list(quarantine(survey).index) == [names[9]]
+    assert (report.frames_used, report.exit_code) == (FRAMES - 1, 0)  # one of so many is within the tolerance
+    assert published(survey) == without(survey, [9], tmp_path, monkeypatch)
+
+
+def at_leisure(piece: Any, context: Any) -> None:
+    """Take so long that others can be killed meanwhile."""
+    time.sleep(0.5)
+    stub.detect(piece, context)
+
+
+@needs_dask
+@pytest.mark.slow
+def test_a_worker_killed_from_outside_costs_nothing(
+    survey: Path, golden: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use(monkeypatch, at_leisure)
+    with dask_processes() as (address, (_, nanny, _)):
+
+        def kill_at_first(event: str, **_: Any) -> None:
+            victims = children_of(nanny.pid) if event == "done" and not killed else []
+            for pid in victims:
+                os.kill(pid, signal.SIGKILL)
+            killed.extend(victims)
+
+        killed: list[int] = []
+        report = run_survey(vt.load_survey(survey / "survey.yaml"), orders=Orders(cluster=address), tell=kill_at_first)
+    assert killed
+    assert report.frames_quarantined == 0
+    assert published(survey) == golden
+
+
+@needs_dask
+@pytest.mark.slow
+def test_losing_the_scheduler_loses_nothing_that_was_done(
+    survey: Path, golden: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use(monkeypatch, at_leisure)
+    with dask_processes() as (address, (scheduler, *_)):
+
+        def kill_at_first(event: str, **_: Any) -> None:
+            if event == "done":
+                scheduler.kill()
+
+        with pytest.raises(StorageError, match=r"scheduler .* is gone .* run again"):
+            run_survey(vt.load_survey(survey / "survey.yaml"), orders=Orders(cluster=address), tell=kill_at_first)
+    done = len(list((survey / "results" / "data" / "detect").iterdir()))
+    assert done > 0
+    report = run_survey(vt.load_survey(survey / "survey.yaml"))
+    assert report.done["detect"] == 4 - done
+    assert published(survey) == golden
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("crew", [1, 2, 4, pytest.param("cluster", marks=needs_dask)])
+@settings(max_examples=4, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(order=st.permutations(range(FRAMES)), cuts=st.sets(st.integers(1, FRAMES - 1), max_size=2))
+def test_workers_orders_and_splits_leave_no_trace(
+    request: pytest.FixtureRequest,
+    golden: dict[str, str],
+    tmp_path_factory: pytest.TempPathFactory,
+    crew: int | str,
+    order: list[int],
+    cuts: set[int],
+) -> None:
+    """Faults 26, 27 and 71: any order of arrival, any split into runs, any workers, one tree of tables."""
+    folder = stub.stub_archive(tmp_path_factory.mktemp("crew") / "survey", 0)
+    orders = Orders(workers=crew) if isinstance(crew, int) else Orders(cluster=request.getfixturevalue("cluster"))
+    with pytest.MonkeyPatch.context() as patch:
+        use(patch, stub.detect)
+        for start, end in itertools.pairwise([0, *sorted(cuts), FRAMES]):
+            for number in order[start:end]:
+                stub.write_frame(folder, number)
+            assert run_survey(vt.load_survey(folder / "survey.yaml"), orders=orders).exit_code == 0
+    assert published(folder) == golden
 
 
 @needs_dask

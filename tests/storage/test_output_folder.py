@@ -90,6 +90,52 @@ def test_an_output_that_cannot_be_made_is_told_at_once(tmp_path: Path) -> None:
         Output(tmp_path / "file" / "out").create()
 
 
+def test_an_output_over_two_file_systems_is_told_at_once(tmp_path: Path) -> None:
+    """Fault 47: a rename from one to the other would be no rename."""
+    memory = Path("/dev/shm")
+    if not memory.is_dir() or memory.stat().st_dev == tmp_path.stat().st_dev:
+        pytest.skip("there is no second file system at hand")
+    elsewhere = memory / f"vtrack-elsewhere-{os.getpid()}"
+    elsewhere.mkdir()
+    try:
+        (tmp_path / "out").mkdir()
+        (tmp_path / "out" / "data").symlink_to(elsewhere)
+        with pytest.raises(CannotCreate, match="own file system"):
+            Output(tmp_path / "out").create()
+    finally:
+        elsewhere.rmdir()
+
+
+def test_links_that_others_laid_lead_nowhere(output: Output, tmp_path: Path) -> None:
+    """Fault 74: what is swept, dropped and collected is the link, never what it leads to."""
+    victim = tmp_path / "victim"
+    victim.mkdir()
+    (victim / "letter").write_text("dear")
+    output.staging.rmdir()
+    output.staging.symlink_to(victim)
+    with output.locked():
+        assert not output.staging.is_symlink()
+        assert output.staging.stat().st_mode & 0o077 == 0, "others lay nothing here"
+        (output.staging / "snapshot-000001").symlink_to(victim)
+        with pytest.raises(StorageError):
+            output.publish({}, {"letter": "mine"}, {})
+    (output.data / "track").mkdir()
+    (output.data / "track" / "k").symlink_to(victim)
+    with output.locked():
+        output.drop_part("track", "k")
+    assert not list((output.data / "track").iterdir())
+    assert [path.read_text() for path in victim.iterdir()] == ["dear"]
+
+
+def test_a_file_system_without_kernel_locks_is_refused(output: Output, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fault 48: a lock that outlives its holder would stop every later run."""
+    import filelock
+
+    monkeypatch.setattr(filelock, "FileLock", filelock.SoftFileLock)
+    with pytest.raises(CannotCreate, match="NFS 4"), output.locked():
+        pass
+
+
 def test_nothing_published_is_told(tmp_path: Path) -> None:
     with pytest.raises(NoArchive, match="vtrack-batch run"):
         open_results(tmp_path)

@@ -11,8 +11,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from vtrack_batch.background.exposure import Exposure, fit_exposure
-from vtrack_batch.background.mode import replace_busy, road_nearby
+from vtrack_batch.background.exposure import GAIN_SHIFT, Exposure, fit_exposure
+from vtrack_batch.background.mode import replace_busy, road_nearby, unrest
 from vtrack_batch.background.params import BackgroundParams
 from vtrack_batch.background.ranks import take_ranks
 from vtrack_batch.background.shadow import Band, Shadows, darkened_ratios, learn_direction, learn_ratio, widest_band
@@ -27,6 +27,7 @@ _FEWEST_FOR_MODE = 5
 _LEAST_TRAFFIC = 1.5
 _THIRD = 3
 _WHOLLY = 0.999
+_USUAL_METRES_PER_PX = 0.33
 # A third of the |deviations| of a Gaussian lie below 0.43 standard deviations; of the largest of three, partly
 # correlated channels below about 0.7.
 _THIRD_TO_SIGMA = 1 / 0.7
@@ -80,8 +81,12 @@ class Background:
         return np.asarray(coarse, np.uint8)
 
 
-def learn_background(samples: Sequence[Sample], *, params: BackgroundParams) -> Background:
+def learn_background(
+    samples: Sequence[Sample], *, params: BackgroundParams, metres_per_px: float = _USUAL_METRES_PER_PX
+) -> Background:
     """Learn the ground from *samples*, all of one size; the one with the identity as homography is the reference.
+
+    *metres_per_px* of the reference says how large vehicles look.
 
     Without such a sample the first gives the exposure. One sample is its own background; two are averaged.
 
@@ -100,11 +105,13 @@ def learn_background(samples: Sequence[Sample], *, params: BackgroundParams) -> 
         at = slice(top, bottom)
         pixels[at], spread[at], changed[at], seen[at] = _median_strip(stacks, (top, bottom), params)
     if len(samples) >= _FEWEST_FOR_MODE:
-        _free_busy_places(stacks, strips, (pixels, spread, changed), params)
+        window_px = 2 * max(1, round(params.calm_window_m / metres_per_px / 2)) + 1
+        _free_busy_places(stacks, strips, (pixels, spread, changed), window_px, params)
     tolerance = _tolerance(pixels, spread, seen, params)
     # Half of the neighbourhood, once: a single vehicle that passed through one of the samples counts.
     activity = cv2.blur(changed, (9, 9)) > 0.5 / max(8, len(samples))
     levels = np.dstack([pixels, tolerance])
+    del pixels, tolerance, spread, changed
     shadows = _shadows(samples, levels, params)
     return Background(levels, seen, activity, shadows, len(samples), params.range_share)
 
@@ -156,23 +163,42 @@ def _free_busy_places(
     stacks: Stacks,
     strips: Sequence[tuple[int, int]],
     learned: tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.float32]],
+    window_px: int,
     params: BackgroundParams,
 ) -> None:
     """Overwrite colour, spread and share of change where the median is doubtful."""
     pixels, spread, changed = learned
     busy = changed > params.busy_share
-    traffic = (changed > _LEAST_TRAFFIC / len(stacks.samples)) & ~(changed > 0.8 * params.busy_share)
+    traffic = changed > _LEAST_TRAFFIC / len(stacks.samples)
+    traffic &= changed <= 0.8 * params.busy_share
     road = road_nearby(pixels, traffic)
     for (top, bottom), left in product(strips, range(0, busy.shape[1], _BUSY_COLUMNS)):
         at = slice(top, bottom), slice(left, left + _BUSY_COLUMNS)
         if not busy[at].any():
             continue
-        stack, covered = stacks.part((top, bottom), (left, left + busy[at].shape[1]))
-        image = np.ascontiguousarray(pixels[at])
-        replace_busy(image, stack, covered, np.ascontiguousarray(busy[at]), np.ascontiguousarray(road[at]))
-        pixels[at] = image
-        deviation, changed[at] = _deviations(stack, covered, image, params.change_levels)
-        (spread[at],) = take_ranks(deviation, (len(stack) // _THIRD,))
+        near, inside = _tile((top, left), busy[at].shape, busy.shape, window_px)
+        stack, covered = stacks.part(*near)
+        restless = np.ascontiguousarray(unrest(stack, window_px)[:, *inside])
+        stack, covered = np.ascontiguousarray(stack[:, *inside]), np.ascontiguousarray(covered[:, *inside])
+        image, scatter, open_, lane = (np.ascontiguousarray(part[at]) for part in (pixels, spread, busy, road))
+        replace_busy(image, scatter, stack, covered, restless, open_, lane)
+        pixels[at], spread[at] = image, scatter
+        _, changed[at] = _deviations(stack, covered, image, params.change_levels)
+
+
+Range = tuple[int, int]
+
+
+def _tile(
+    corner: tuple[int, int], size: tuple[int, ...], whole: tuple[int, ...], window_px: int
+) -> tuple[tuple[Range, Range], tuple[slice, slice]]:
+    """Return the rows and columns that windows around the pixels of a tile reach, and where in them the tile lies."""
+    node = 1 << GAIN_SHIFT
+    margin = -(-(window_px // 2) // node) * node
+    first = [max(0, start - margin) for start in corner]
+    last = [min(most, start + extent + margin) for start, extent, most in zip(corner, size, whole, strict=True)]
+    (top, left), (height, width) = (start - begin for start, begin in zip(corner, first, strict=True)), size
+    return ((first[0], last[0]), (first[1], last[1])), (slice(top, top + height), slice(left, left + width))
 
 
 @njit(cache=True, nogil=True)
@@ -224,19 +250,27 @@ def _local_range(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def _tolerance(
     pixels: NDArray[np.uint8], spread: NDArray[np.uint8], seen: NDArray[np.bool_], params: BackgroundParams
 ) -> NDArray[np.uint8]:
-    sigma = np.asarray(cv2.blur(spread.astype(np.float32), (3, 3)), np.float32)
-    sigma *= np.float32(_THIRD_TO_SIGMA)
+    strips, step = _strips(len(pixels)), _POINT_STEP_PX
+    some = [_sigma(spread, strip)[::step, ::step][seen[slice(*strip)][::step, ::step]] for strip in strips]
     # What every pixel shows is noise, which the threshold of the difference already covers.
-    sigma -= np.median(sigma[seen]) if seen.any() else np.float32(0)
-    np.maximum(sigma, 0, out=sigma)
-    sigma *= np.float32(params.spread_factor)
-    # The cap keeps places open that are occupied most of the time: stop lines.
-    np.minimum(sigma, np.float32(params.spread_limit_levels), out=sigma)
-    sigma += np.float32(params.range_share) * _local_range(pixels)
-    np.minimum(sigma, _UNSEEN_TOLERANCE - 1, out=sigma)
-    levels = sigma.astype(np.uint8)
+    noise = np.float32(np.median(np.concatenate(some))) if seen.any() else np.float32(0)
+    levels = np.empty(seen.shape, np.uint8)
+    for top, bottom in strips:
+        above = min(top, 1)
+        local_range = _local_range(pixels[top - above : bottom + 1])[above:][: bottom - top]
+        # The cap keeps places open that are occupied most of the time: stop lines.
+        sigma = np.maximum(_sigma(spread, (top, bottom)) - noise, 0) * np.float32(params.spread_factor)
+        sigma = np.minimum(sigma, np.float32(params.spread_limit_levels)) + np.float32(params.range_share) * local_range
+        levels[top:bottom] = np.minimum(sigma, _UNSEEN_TOLERANCE - 1).astype(np.uint8)
     levels[~seen] = _UNSEEN_TOLERANCE
     return levels
+
+
+def _sigma(spread: NDArray[np.uint8], rows: tuple[int, int]) -> NDArray[np.float32]:
+    """Return the standard deviation over time, of the 3 x 3 neighbourhood, in the rows top..bottom."""
+    above = min(rows[0], 1)
+    part = spread[rows[0] - above : rows[1] + 1].astype(np.float32)
+    return np.asarray(cv2.blur(part, (3, 3))[above:][: rows[1] - rows[0]] * np.float32(_THIRD_TO_SIGMA), np.float32)
 
 
 def _shadows(samples: Sequence[Sample], ground: NDArray[np.uint8], params: BackgroundParams) -> Shadows:

@@ -1,8 +1,9 @@
 """The ground where it is occupied too often for a median: stop lines, and places where somebody waited for long.
 
-Two things tell ground from vehicles there. Beside the queue the same road lies free, so samples that look like the road
-nearby show it even if they are few; and where none does, vehicles differ in colour while the ground does not, so the
-half-sample mode of the samples is it (Robertson and Cryer 1974; Bickel and Fruehwirth 2006).
+Three things tell ground from vehicles there. Samples agree on it: vehicles differ in colour, the ground does not. It is
+calm: a window as large as a car holds edges wherever a vehicle or its shadow is. And it looks like the road nearby. So
+the samples vote, calm ones more, each for the colours near its own, and the road nearby votes too: a mode with weights
+(kernel density estimate, Parzen 1962).
 """
 
 from __future__ import annotations
@@ -13,11 +14,16 @@ from numba import njit
 from numpy.typing import NDArray
 
 _CELL_PX = 8
+_STRIP_PX = 16 * _CELL_PX
 _REACHES_PX = (32, 96, 288)
 _ENOUGH = 0.03
-_LIKE_ROAD = 22
-_FEWEST_LIKE_ROAD = 0.1
-_ROAD_TO_MODE = 0.33
+_SAME = 8.0
+_LIKE_ROAD = 25.0
+_ROAD_VOTES = 2.0
+_CALM = 16.0
+_NEAR = 40.0
+_KIND_APART = 0.85
+_KIND_ON_ROAD = 0.6
 
 
 def road_nearby(pixels: NDArray[np.uint8], traffic: NDArray[np.bool_]) -> NDArray[np.uint8]:
@@ -27,11 +33,13 @@ def road_nearby(pixels: NDArray[np.uint8], traffic: NDArray[np.bool_]) -> NDArra
     """
     height, width = traffic.shape
     cells = (-(-width // _CELL_PX), -(-height // _CELL_PX))
-    weight = traffic.astype(np.float32)
-    share = cv2.resize(weight, cells, interpolation=cv2.INTER_AREA)
-    # Channel by channel, for memory's sake.
-    parts = [cv2.resize(pixels[:, :, k] * weight, cells, interpolation=cv2.INTER_AREA) for k in range(3)]
-    colour = np.stack(parts, axis=2)
+    share, colour = np.empty(cells[::-1], np.float32), np.empty((*cells[::-1], 3), np.float32)
+    # Strip by strip, for memory's sake.
+    for top in range(0, height, _STRIP_PX):
+        at, into = slice(top, top + _STRIP_PX), slice(top // _CELL_PX, -(-min(top + _STRIP_PX, height) // _CELL_PX))
+        size, weight = (cells[0], into.stop - into.start), traffic[at].astype(np.float32)
+        share[into] = cv2.resize(weight, size, interpolation=cv2.INTER_AREA)
+        colour[into] = cv2.resize(pixels[at] * weight[:, :, None], size, interpolation=cv2.INTER_AREA)
     road = np.zeros_like(colour)
     open_ = np.ones(share.shape, np.bool_)
     for reach in _REACHES_PX:
@@ -44,74 +52,99 @@ def road_nearby(pixels: NDArray[np.uint8], traffic: NDArray[np.bool_]) -> NDArra
     return np.asarray(cv2.resize(np.clip(road, 0, 255).astype(np.uint8), (width, height)), np.uint8)
 
 
-@njit(cache=True, nogil=True)
-def replace_busy(image, stack, covered, busy, road):  # type: ignore[no-untyped-def]
-    """Overwrite *image* (h, w, 3) uint8 where *busy* (h, w) bool by road-like samples, else by the mode of *stack*.
+def unrest(stack: NDArray[np.uint8], window_px: int) -> NDArray[np.uint8]:
+    """Return the largest range of a channel (n, h, w) uint8 in a square around each pixel of *stack* (n, h, w, 3)."""
+    square = np.ones((window_px, window_px), np.uint8)
+    return np.stack([cv2.subtract(cv2.dilate(one, square), cv2.erode(one, square)).max(axis=2) for one in stack])
 
-    *stack* (n, h, w, 3) uint8, used where *covered* (n, h, w) bool; *road* (h, w, 3) uint8 = colour of road nearby.
+
+@njit(cache=True, nogil=True)
+def replace_busy(image, spread, stack, covered, restless, busy, road):  # type: ignore[no-untyped-def]
+    """Overwrite *image* (h, w, 3) and *spread* (h, w), uint8, where *busy* (h, w) bool, by the mode of *stack*.
+
+    *stack* (n, h, w, 3) uint8 counts where *covered* (n, h, w) bool, the less, the more *restless* (n, h, w) uint8 it
+    is; *road* (h, w, 3) uint8 = colour of road nearby, 0 = none. The spread becomes that of the samples like the mode,
+    where these are a kind of their own.
     """
     count = stack.shape[0]
-    grey = np.empty(count, np.int64)
-    member = np.empty(count, np.int64)
+    levels, weight = np.empty((count, 3)), np.empty(count)
     for r in range(busy.shape[0]):
         for c in range(busy.shape[1]):
             if not busy[r, c]:
                 continue
-            n = _sorted_by_grey(stack, covered, r, c, grey, member)
-            first, size = _densest(grey, n)
-            middle = grey[first + size // 2]
-            alike = 0
-            for j in range(n):
-                alike += abs(grey[j] - middle) <= 3 * _LIKE_ROAD
-            like, total = 0, np.zeros(3, np.int64)
+            n, calmest = 0, 255.0
             for i in range(count):
-                if covered[i, r, c] and _is_like(stack[i, r, c], road[r, c]):
-                    like += 1
+                if covered[i, r, c]:
                     for k in range(3):
-                        total[k] += np.int64(stack[i, r, c, k])
-            if like < max(2.0, _FEWEST_LIKE_ROAD * n) or like < _ROAD_TO_MODE * alike:
-                like = size
-                total[:] = 0
-                for j in range(first, first + size):
-                    for k in range(3):
-                        total[k] += np.int64(stack[member[j], r, c, k])
-            if like > 0:
-                for k in range(3):
-                    image[r, c, k] = (total[k] + like // 2) // like
+                        levels[n, k] = stack[i, r, c, k]
+                    weight[n] = restless[i, r, c]
+                    calmest = min(calmest, weight[n])
+                    n += 1
+            if n == 0:
+                continue
+            for j in range(n):
+                weight[j] = np.exp((calmest - weight[j]) / _CALM)
+            best = _most_voted(levels, weight, n, road[r, c])
+            for k in range(3):
+                image[r, c, k] = int(_mean_near(levels, weight, n, best, k) + 0.5)
+            on_road = _apart(road[r, c], image[r, c]) <= _LIKE_ROAD
+            spread[r, c] = _spread_near(levels, weight, n, image[r, c], _KIND_ON_ROAD if on_road else _KIND_APART)
 
 
 @njit(cache=True, nogil=True)
-def _sorted_by_grey(stack, covered, r, c, grey, member):  # type: ignore[no-untyped-def]
-    n = 0
-    for i in range(stack.shape[0]):
-        if covered[i, r, c]:
-            level = np.int64(stack[i, r, c, 0]) + np.int64(stack[i, r, c, 1]) + np.int64(stack[i, r, c, 2])
-            j = n
-            while j > 0 and grey[j - 1] > level:
-                grey[j], member[j] = grey[j - 1], member[j - 1]
-                j -= 1
-            grey[j], member[j] = level, i
-            n += 1
-    return n
+def _most_voted(levels, weight, n, road):  # type: ignore[no-untyped-def]
+    """Index of the sample whose colour has most votes."""
+    known = np.int64(road[0]) + np.int64(road[1]) + np.int64(road[2]) > 0
+    best, most = 0, -1.0
+    for j in range(n):
+        votes = 0.0
+        for i in range(n):
+            votes += weight[i] * min(max(2.0 - _apart(levels[i], levels[j]) / _SAME, 0.0), 1.0)
+        if known:
+            votes += _ROAD_VOTES * np.exp(-((_apart(road, levels[j]) / _LIKE_ROAD) ** 2))
+        if votes > most:
+            best, most = j, votes
+    return best
 
 
 @njit(cache=True, nogil=True)
-def _densest(grey, n):  # type: ignore[no-untyped-def]
-    """First index and size of what is left of the sorted levels when the densest half is taken again and again."""
-    first, size = 0, n
-    while size > 3:
-        half = (size + 1) // 2
-        best, width = first, grey[first + half - 1] - grey[first]
-        for j in range(first + 1, first + size - half + 1):
-            if grey[j + half - 1] - grey[j] < width:
-                best, width = j, grey[j + half - 1] - grey[j]
-        first, size = best, half
-    return first, size
+def _mean_near(levels, weight, n, best, channel):  # type: ignore[no-untyped-def]
+    total, mass = 0.0, 0.0
+    for i in range(n):
+        if _apart(levels[i], levels[best]) <= _SAME:
+            total += weight[i] * levels[i, channel]
+            mass += weight[i]
+    return total / mass
 
 
 @njit(cache=True, nogil=True)
-def _is_like(colour, road):  # type: ignore[no-untyped-def]
+def _spread_near(levels, weight, n, ground, kind_apart):  # type: ignore[no-untyped-def]
+    """The deviation that a third of the samples stay below: of those like the ground, where these are a kind apart.
+
+    Among calm samples, vehicles leave a gap between the ground's levels and theirs; trees and leaning walls show all.
+    """
+    counts = np.zeros(256, np.int64)
+    like, near = 0.0, 0.0
+    for i in range(n):
+        away = _apart(levels[i], ground)
+        counts[int(away)] += 1
+        if away <= _SAME:
+            like += weight[i]
+        if away <= _NEAR:
+            near += weight[i]
+    meant = counts[: int(_SAME) + 1].sum() if like >= kind_apart * near else n
+    below = 0
+    for away in range(256):
+        below += counts[away]
+        if 3 * below > meant:
+            return away
+    return 255
+
+
+@njit(cache=True, nogil=True)
+def _apart(one, other):  # type: ignore[no-untyped-def]
+    """Largest difference of two colours in a channel."""
+    largest = 0.0
     for k in range(3):
-        if abs(np.int64(colour[k]) - np.int64(road[k])) > _LIKE_ROAD:
-            return False
-    return np.int64(road[0]) + np.int64(road[1]) + np.int64(road[2]) > 0
+        largest = max(largest, abs(float(one[k]) - float(other[k])))
+    return largest

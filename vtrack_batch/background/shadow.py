@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from vtrack_batch.background.exposure import GAIN_SHIFT
 from vtrack_batch.background.params import BackgroundParams
 from vtrack_batch.background.subtract import OBJECT, SHADOW, Difference
+from vtrack_batch.model import homography
 
 _BIN = 0.02
 _PEAK_HALF_WIDTH = 0.06
@@ -26,6 +27,7 @@ _INNER_SHARE = 0.33
 _REACH_PX = 12
 _LEAST_DIRECTION = 0.15
 _FEWEST_PIXELS = 300
+_BAND_ROWS = 512
 
 
 Band = NDArray[np.float64]
@@ -72,18 +74,29 @@ def learn_ratio(ratios: NDArray[np.float64], params: BackgroundParams) -> tuple[
 def darkened_ratios(frame: NDArray[np.uint8], difference: Difference, params: BackgroundParams) -> NDArray[np.float64]:
     """Return the ratios (n, 3) of the frame to the ground at the pixels classed as shadow, where these are even."""
     rows, columns = np.nonzero(difference.classes == SHADOW)
-    grey = cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY)
-    square = np.ones((3, 3), np.uint8)
-    local_range = cv2.subtract(cv2.dilate(grey, square), cv2.erode(grey, square))[rows, columns]
+    local_range = _local_range(frame, difference.classes == SHADOW)
     # The edge of a shadow is a mixture of shadow and light.
     inner = local_range <= (np.quantile(local_range, _INNER_SHARE) if len(rows) else 0)
     rows, columns = rows[inner], columns[inner]
     exposure = difference.exposure
     mapped = np.stack([exposure.levels[k][frame[rows, columns, k]] for k in range(3)], axis=1)
     gain = exposure.gain_map(*frame.shape[:2])[rows >> GAIN_SHIFT, columns >> GAIN_SHIFT]
-    ratios = (mapped * gain[:, None] + 2.0) / (difference.ground[rows, columns, :3] + 2.0)
+    there = homography.apply(difference.to_ground, np.stack([columns, rows], axis=1).astype(float))
+    ground_columns, ground_rows = np.floor(there + 0.5).astype(int).T
+    ratios = (mapped * gain[:, None] + 2.0) / (difference.ground[ground_rows, ground_columns, :3] + 2.0)
     mean = ratios.mean(axis=1)
     return np.asarray(ratios[(mean >= params.shadow_ratio_min) & (mean <= params.shadow_ratio_max)], float)
+
+
+def _local_range(frame: NDArray[np.uint8], wanted: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Return the range of grey levels around each of the *wanted* pixels (H, W), in order of rows."""
+    square, found = np.ones((3, 3), np.uint8), []
+    for top in range(0, len(frame), _BAND_ROWS):
+        first = max(0, top - 1)
+        grey = cv2.cvtColor(frame[first : top + _BAND_ROWS + 1], cv2.COLOR_RGB2GRAY)
+        local_range = cv2.subtract(cv2.dilate(grey, square), cv2.erode(grey, square))[top - first :]
+        found.append(local_range[:_BAND_ROWS][wanted[top : top + _BAND_ROWS]])
+    return np.concatenate(found)
 
 
 def learn_direction(
@@ -96,10 +109,10 @@ def learn_direction(
     """
     total, count = np.zeros(2), 0
     for difference, pose in zip(differences, poses, strict=True):
-        away = _away_from_things(difference.classes) @ pose[:2, :2].T
-        norm = np.linalg.norm(away, axis=1)
-        total += (away / norm[:, None]).sum(axis=0)
-        count += len(away)
+        for top in range(0, len(difference.classes), _BAND_ROWS):
+            away = _away_from_things(difference.classes[top : top + _BAND_ROWS]) @ pose[:2, :2].T
+            total += (away / np.linalg.norm(away, axis=1)[:, None]).sum(axis=0)
+            count += len(away)
     length = float(np.linalg.norm(total))
     if count < _FEWEST_PIXELS or length < _LEAST_DIRECTION * count:
         return None

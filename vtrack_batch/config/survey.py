@@ -11,11 +11,13 @@ from pydantic import AfterValidator, AwareDatetime, Field, PrivateAttr, model_va
 
 from vtrack_batch.archive.params import ArchiveParams
 from vtrack_batch.background.params import BackgroundParams
+from vtrack_batch.completeness.params import CompletenessParams
 from vtrack_batch.detection.params import DetectionParams
 from vtrack_batch.georeference.params import GeoreferenceParams
 from vtrack_batch.matching.params import MatchingParams
 from vtrack_batch.model.params import Params
 from vtrack_batch.registration.params import RegistrationParams
+from vtrack_batch.revision.params import RevisionParams
 from vtrack_batch.tracking.params import TrackingParams
 from vtrack_batch.traffic.params import TrafficParams
 
@@ -97,10 +99,23 @@ class Survey(Params):
     detection: DetectionParams = Field(
         default_factory=DetectionParams, description="What counts as a vehicle in a single frame."
     )
+    completeness: CompletenessParams = Field(
+        default_factory=CompletenessParams,
+        description="Known vehicles painted into copies of frames, to count how many are found again.",
+    )
     matching: MatchingParams = Field(default_factory=MatchingParams, description="Who is who in the next frame.")
     tracking: TrackingParams = Field(default_factory=TrackingParams, description="How matches become trajectories.")
+    revision: RevisionParams = Field(
+        default_factory=RevisionParams,
+        description="What a first tracking tells of the detections, before they are tracked again.",
+    )
     zones: str | None = Field(
         None, description="GeoJSON of gates, zones, approaches, lanes and exclusions; without it zones are proposed."
+    )
+    flow_map: str | None = Field(
+        None,
+        description="Flow map of the place, made by `learn`, of this survey's coordinates; without it each sequence "
+        "teaches its own.",
     )
     traffic: TrafficParams = Field(
         default_factory=TrafficParams, description="Time bins and thresholds of the measures."

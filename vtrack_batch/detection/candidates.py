@@ -13,6 +13,7 @@ from vtrack_batch.background.learn import Background
 from vtrack_batch.background.subtract import UNSEEN, Difference, subtract
 from vtrack_batch.detection.boxes import fit_boxes
 from vtrack_batch.detection.measure import measure
+from vtrack_batch.detection.overlaps import stand_alone
 from vtrack_batch.detection.params import DetectionParams
 from vtrack_batch.detection.refine import refine
 from vtrack_batch.detection.templates import draw_templates
@@ -103,6 +104,7 @@ def candidates_in(
     scale = np.array(px_per_m)
     placed = refine(difference.evidence, difference.classes, placed, scale, params.shadow_evidence)
     order = np.lexsort((placed[:, 0], placed[:, 1]))
+    order = order[stand_alone(placed, boxes[:, 4], px_per_m)[order]]
     return _candidates(picture, difference, placed[order], boxes[order, 4], steps)
 
 
@@ -161,7 +163,8 @@ def _candidates(
 ) -> Candidates:
     exposure = difference.exposure
     gain = exposure.gain_map(*picture.shape[:2])
-    found = measure(picture, difference.ground, difference.classes, exposure.levels, gain, placed)
+    ground, to_ground = difference.ground, difference.to_ground
+    found = measure(picture, ground, to_ground, difference.classes, exposure.levels, gain, placed)
     x, y = float(steps[0]), float(steps[1])
     flags = np.where(found[:, 5] > 0, int(DetectionFlag.TOUCHES_BORDER), 0)
     flags |= np.where(found[:, 6] > 0, int(DetectionFlag.NEAR_UNSEEN), 0)

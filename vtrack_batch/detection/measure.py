@@ -6,17 +6,18 @@ import numpy as np
 from numba import njit
 
 from vtrack_batch.background.exposure import GAIN_SHIFT
-from vtrack_batch.background.subtract import GROUND, UNSEEN
+from vtrack_batch.background.subtract import GROUND, UNSEEN, place_of
 
 _CORE = 0.85
 
 
 @njit(cache=True, nogil=True)
-def measure(picture, ground, classes, levels, gain, boxes):  # type: ignore[no-untyped-def]
+def measure(picture, ground, to_ground, classes, levels, gain, boxes):  # type: ignore[no-untyped-def]
     """Return for each box (n, 7): red, green, blue, area in px, contrast, reaches over the border, holds unseen ground.
 
-    *boxes* are column, row, and the half axes along (x, y) and across (x, y) in px. Colour is the median over the inner
-    pixels that differ from the ground, so windscreens and rims hardly count.
+    *to_ground* (3, 3) takes pixels to those of *ground*; *boxes* are column, row, and the half axes along (x, y) and
+    across (x, y) in px. Colour is the median over the inner pixels that differ from the ground, so windscreens and rims
+    hardly count.
     """
     found = np.zeros((len(boxes), 7))
     height, width = classes.shape
@@ -36,14 +37,15 @@ def measure(picture, ground, classes, levels, gain, boxes):  # type: ignore[no-u
                 if i < 0 or j < 0 or i >= height or j >= width:
                     found[n, 5] = 1
                     continue
-                if classes[i, j] == UNSEEN:
+                r, c = place_of(to_ground, j, i)
+                if classes[i, j] == UNSEEN or r < 0 or r >= ground.shape[0] or c < 0 or c >= ground.shape[1]:
                     found[n, 6] = 1
                     continue
                 g = gain[i >> GAIN_SHIFT, j >> GAIN_SHIFT]
                 largest = 0.0
                 for k in range(3):
                     level = min(levels[k, picture[i, j, k]] * g, 255.0)
-                    largest = max(largest, abs(level - ground[i, j, k]))
+                    largest = max(largest, abs(level - ground[r, c, k]))
                     if along < _CORE and across < _CORE:
                         histogram[k, int(level)] += 1
                 inside += 1

@@ -18,6 +18,7 @@ from vtrack_batch.detection.candidates import Candidates
 from vtrack_batch.detection.chains import Chains, Sightings, find_chains
 from vtrack_batch.detection.params import DetectionParams
 from vtrack_batch.model import homography
+from vtrack_batch.model.flags import DetectionFlag
 from vtrack_batch.model.homography import Array
 
 _CELL_M = 0.5
@@ -98,8 +99,22 @@ def select(
     """
     taken = candidates.score >= (params.strict_score if place.trusted_elsewhere else np.inf)
     taken[place.chained[frame]] = True
-    xy = homography.apply(frame_to_reference, np.stack([candidates.col_px, candidates.row_px], axis=1))
-    return np.asarray(taken | (place.on_road(xy * place.metres_per_px) & (candidates.score >= params.weak_score)))
+    on_road = place.on_road(_centres_m(candidates, frame_to_reference, place))
+    return np.asarray(taken | (on_road & (candidates.score >= params.weak_score)))
+
+
+def flag_outside(candidates: Candidates, frame_to_reference: Array, place: Place) -> Candidates:
+    """Return *candidates* with ``OUTSIDE_ROAD`` set for those off the road, where one was learned."""
+    if not place.learned:
+        return candidates
+    outside = ~place.on_road(_centres_m(candidates, frame_to_reference, place))
+    bit = np.int32(DetectionFlag.OUTSIDE_ROAD)
+    return replace(candidates, flags=np.where(outside, candidates.flags | bit, candidates.flags & ~bit))
+
+
+def _centres_m(candidates: Candidates, frame_to_reference: Array, place: Place) -> Array:
+    centre = np.stack([candidates.col_px, candidates.row_px], axis=1)
+    return homography.apply(frame_to_reference, centre) * place.metres_per_px
 
 
 def _sightings(candidates: Candidates, pose: Array, metres_per_px: tuple[float, float]) -> Sightings:

@@ -16,20 +16,20 @@ HIDDEN = -30_000
 
 _REACH_M = 0.6
 _CORE = 0.4
+_BAND = 256
 
 
 @dataclass(frozen=True, eq=False)
 class Layers:
     """What each pixel counts for inside a box, on its rim and in its shadow.
 
-    ``inner`` int16, ``rim`` and ``cast`` uint8, (H + 2 m, W + 2 m) with a hidden margin of m all around; ``counted``
-    (H, W) uint8 as ``inner``, 0 where hidden.
+    ``inner`` int16, ``rim`` and ``cast`` uint8, (H + 2 m, W + 2 m) with a hidden ``margin`` of m all around.
     """
 
     inner: NDArray[np.int16]
     rim: NDArray[np.uint8]
     cast: NDArray[np.uint8]
-    counted: NDArray[np.uint8]
+    margin: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,8 @@ class Seeds:
 
 def make_layers(difference: Difference, margin: int, shadow_evidence: float) -> Layers:
     """Return what the pixels of *difference* count for; shadow-like ones count *shadow_evidence* inside a box."""
-    return Layers(*_layers(difference.evidence, difference.classes, margin, shadow_evidence))
+    inner, rim, cast = _layers(difference.evidence, difference.classes, margin, shadow_evidence)
+    return Layers(inner, rim, cast, margin)
 
 
 def find_seeds(layers: Layers, px_per_m: tuple[float, float], step_m: float) -> Seeds:
@@ -54,9 +55,17 @@ def find_seeds(layers: Layers, px_per_m: tuple[float, float], step_m: float) -> 
     step = (max(1, round(step_m * px_per_m[1])), max(1, round(step_m * px_per_m[0])))
     reach = (round(_REACH_M * px_per_m[1]), round(_REACH_M * px_per_m[0]))
     window = (2 * reach[0] + 1, 2 * reach[1] + 1)
-    around = cv2.blur(layers.counted, (window[1], window[0]))[:: step[0], :: step[1]]
     core = np.array([*reach, int(np.ceil(_CORE * FULL * window[0] * window[1]))])
-    return Seeds(np.argwhere(around >= _CORE * FULL), step, core)
+    height, grid = layers.inner.shape[0] - 2 * layers.margin, [np.zeros((0, 2), np.int64)]
+    # Some rows at a time: a frame may be large.
+    for first in range(0, height, _BAND * step[0]):
+        last = min(height, first + _BAND * step[0])
+        top, bottom = max(0, first - reach[0]), min(height, last + reach[0])
+        part = layers.inner[layers.margin :, layers.margin : -layers.margin][top:bottom]
+        around = cv2.blur(_counted(part), (window[1], window[0]))
+        found = np.argwhere(around[first - top : last - top : step[0], :: step[1]] >= round(_CORE * FULL))
+        grid.append(found + np.array([first // step[0], 0]))
+    return Seeds(np.concatenate(grid), step, core)
 
 
 @njit(cache=True, nogil=True)
@@ -65,18 +74,26 @@ def _layers(evidence, classes, margin, shadow_evidence):  # type: ignore[no-unty
     inner = np.full((height + 2 * margin, width + 2 * margin), HIDDEN, np.int16)
     rim = np.zeros(inner.shape, np.uint8)
     cast = np.zeros(inner.shape, np.uint8)
-    counted = np.empty(evidence.shape, np.uint8)
     weight = int(shadow_evidence * 256 + 0.5)
     for r in range(height):
-        kinds, values, counts = classes[r], evidence[r], counted[r]
+        kinds, values = classes[r], evidence[r]
         inner_row = inner[r + margin, margin : margin + width]
         rim_row, cast_row = rim[r + margin, margin : margin + width], cast[r + margin, margin : margin + width]
         # Selections in place of branches: compilers turn them into vector instructions.
         for c in range(width):
             kind, value = kinds[c], np.int32(values[c])
             inside = (value * weight) >> 8 if kind == SHADOW else value
-            counts[c] = 0 if kind == UNSEEN else inside
             inner_row[c] = HIDDEN if kind == UNSEEN else inside
             rim_row[c] = values[c] if kind == OBJECT else 0
             cast_row[c] = 1 if kind == SHADOW else 0
-    return inner, rim, cast, counted
+    return inner, rim, cast
+
+
+@njit(cache=True, nogil=True)
+def _counted(inner):  # type: ignore[no-untyped-def]
+    """Return what counts inside a box (h, w) uint8, 0 where hidden."""
+    counted = np.empty(inner.shape, np.uint8)
+    for r in range(inner.shape[0]):
+        for c in range(inner.shape[1]):
+            counted[r, c] = max(inner[r, c], 0)
+    return counted

@@ -13,6 +13,8 @@ NO_MATCH_DISTANCE = 3 * (255.0 / 3) ** 2
 """Expected squared colour distance of no match (Fuse & Shimizu, eq. 8)."""
 FLOOR = 1e-6
 """Least initial probability of a candidate: the updates multiply, so that nothing returns from exactly zero."""
+FARTHEST = 80.0
+"""Squared distance, in standard deviations, from which on a colour adds nothing to a density."""
 
 
 def equal_labels(edges: Edges) -> Labels:
@@ -52,8 +54,9 @@ class Paint:
         ordered = population_rgb[np.lexsort(population_rgb.T)] if len(population_rgb) else np.zeros((1, 3))
         self._population = opponent(ordered[::every])
         self.params = params
+        clean, outlier = np.log1p(-params.outlier_share) - 1.5 * np.log(2 * np.pi), np.log(params.outlier_share)
         self.noise = np.array(
-            [params.brightness_sigma, params.gain_sigma, params.chroma_sigma, params.outlier_share], float
+            [params.brightness_sigma, params.gain_sigma, params.chroma_sigma, params.outlier_share, clean, outlier]
         )
         """What ``log_same_paint`` needs to know of the noise."""
 
@@ -107,25 +110,26 @@ def _spread(ratios: Array, assumed: float = 20.0) -> float:
 
 
 @njit(cache=True, nogil=True)
-def log_same_paint(first, second, variance, log_random, noise):  # type: ignore[no-untyped-def]
-    """Log-likelihood ratio of two mean colours (3,) in opponent axes being one vehicle's.
+def log_same_paint(first, a, second, b, variance, log_random, noise):  # type: ignore[no-untyped-def]
+    """Log-likelihood ratio of the mean colours ``first[a]`` and ``second[b]``, opponent axes, being one vehicle's.
 
     *variance* is that of their difference in units of one sighting's: 1 / n_first + 1 / n_second.
     """
-    brightness = 0.5 * (first[0] + second[0])
+    brightness = 0.5 * (first[a, 0] + second[b, 0])
     v_light = (noise[0] ** 2 + (noise[1] * brightness) ** 2) * variance
     v_chroma = noise[2] ** 2 * variance
-    z = (first[0] - second[0]) ** 2 / v_light
-    z += ((first[1] - second[1]) ** 2 + (first[2] - second[2]) ** 2) / v_chroma
-    log_same = -0.5 * z - 0.5 * np.log(v_light) - np.log(v_chroma) - 1.5 * np.log(2 * np.pi)
-    return np.logaddexp(np.log1p(-noise[3]) + log_same - log_random, np.log(noise[3]))
+    z = (first[a, 0] - second[b, 0]) ** 2 / v_light
+    z += ((first[a, 1] - second[b, 1]) ** 2 + (first[a, 2] - second[b, 2]) ** 2) / v_chroma
+    log_same = noise[4] - 0.5 * (z + np.log(v_light * v_chroma * v_chroma)) - log_random
+    off = log_same - noise[5]
+    return max(log_same, noise[5]) + np.log1p(np.exp(-abs(off)))
 
 
 @njit(cache=True, nogil=True)
 def _log_ratios(first, second, log_random, noise):  # type: ignore[no-untyped-def]
     out = np.empty(len(first))
     for n in range(len(first)):
-        out[n] = log_same_paint(first[n], second[n], 2.0, log_random[n], noise)
+        out[n] = log_same_paint(first, n, second, n, 2.0, log_random[n], noise)
     return out
 
 
@@ -139,6 +143,7 @@ def _log_mixture(seen, population, noise):  # type: ignore[no-untyped-def]
         for s in range(len(population)):
             z = (seen[n, 0] - population[s, 0]) ** 2 / v_light
             z += ((seen[n, 1] - population[s, 1]) ** 2 + (seen[n, 2] - population[s, 2]) ** 2) / v_chroma
-            total += np.exp(-0.5 * z)
+            if z < FARTHEST:
+                total += np.exp(-0.5 * z)
         out[n] = np.log(total / len(population)) - 0.5 * np.log(v_light) - np.log(v_chroma) - 1.5 * np.log(2 * np.pi)
     return out

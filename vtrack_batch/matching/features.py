@@ -86,19 +86,18 @@ def base_features(
     earlier_xy: Array,
     later_xy: Array,
     *,
+    heard: Array,
     elapsed_s: float,
     flow_map: FlowMap | None,
 ) -> Array:
-    """Return the columns ``BASE`` (e, f) of the edges."""
+    """Return the columns ``BASE`` (e, f) of the edges; *heard* are their columns ``HEARD`` by what Bayes' rule says."""
     length = np.hypot(*edges.displacement.T)
     spacing = np.minimum(around.spacing[edges.i], around.spacing[edges.n + edges.k])
-    odds = np.exp(np.clip(evidence.log_odds, -30, 30))
-    share = odds / (1 + _sum_of_ends(edges, odds) - odds)
+    share = shares(edges, evidence.log_odds)
     best_i, best_k = np.zeros(edges.n), np.zeros(edges.m)
     np.maximum.at(best_i, edges.i, share)
     np.maximum.at(best_k, edges.k, share)
     matched = 0.5 * float(best_i.sum() + best_k.sum()) / max(1, min(edges.n, edges.m))
-    heard = _heard_by_all(edges, share, around, earlier_xy, later_xy, elapsed_s)
     sure = (share > 0.9) & (length > STILL_M) & (heard[:, 5] > 1)
     jitter = float(np.median(np.abs(heard[sure, 7]))) * elapsed_s if sure.sum() >= 5 else UNKNOWN
     constant = (elapsed_s, evidence.light, evidence.chroma, matched, jitter)
@@ -111,10 +110,41 @@ def base_features(
 
 
 def heard_features(
-    edges: Edges, p: Array, around: Surroundings, earlier_xy: Array, later_xy: Array, *, elapsed_s: float
+    edges: Edges,
+    p: Array,
+    around: Surroundings,
+    earlier_xy: Array,
+    later_xy: Array,
+    *,
+    elapsed_s: float,
+    asked: Index | None = None,
 ) -> Array:
-    """Return the columns ``HEARD`` (e, f): what neighbours say, each of their edges with its probability *p* (e,)."""
-    return _heard_by_all(edges, p, around, earlier_xy, later_xy, elapsed_s)
+    """Return the columns ``HEARD`` (a, f): what neighbours say, each of their edges with its probability *p* (e,).
+
+    Of all edges, or of those *asked* (a,) for, ascending.
+    """
+    d, order = edges.displacement, np.argsort(edges.k, kind="stable")
+    spread = np.array([0.5 + 0.35 * elapsed_s, 0.7 + 1.4 * elapsed_s])
+    asked = np.arange(len(d)) if asked is None else asked
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    first_k = np.searchsorted(edges.k[order], np.arange(edges.m + 1))
+    a = _hear(asked, edges.i, d, p, edges.first, *around.earlier, earlier_xy, SCALES, spread)
+    # seen from the later image time runs backward
+    b = _hear(rank[asked], edges.k[order], -d[order], p[order], first_k, *around.later, later_xy, SCALES, spread)
+    out = np.empty((len(asked), len(HEARD)))
+    for s in range(len(SCALES)):
+        at = 5 * s
+        weight = a[:, at] + b[:, at]
+        known = weight > 1e-3
+        out[:, at] = weight
+        for c in (1, 2):
+            moment = a[:, at + c] + b[:, at + c]
+            out[:, at + c] = np.where(known, moment / np.maximum(weight, 1e-3) / elapsed_s, UNKNOWN)
+        for c in (3, 4):
+            out[:, at + c] = np.log((a[:, at + c] + b[:, at + c] + 0.05) / (weight + 0.5))
+    out[:, 10:] = np.column_stack([a[:, 10] + b[:, 10], a[:, 11] + b[:, 11], np.maximum(a[:, 12], b[:, 12])])
+    return out
 
 
 def own_features(edges: Edges, p: Array) -> Array:
@@ -169,37 +199,13 @@ def _map_features(
     return flow_map.evidence(earlier_xy[edges.i], later_xy[edges.k], elapsed_s)
 
 
-def _heard_by_all(
-    edges: Edges, p: Array, around: Surroundings, earlier_xy: Array, later_xy: Array, elapsed_s: float
-) -> Array:
-    d, order = edges.displacement, np.argsort(edges.k, kind="stable")
-    spread = np.array([0.5 + 0.35 * elapsed_s, 0.7 + 1.4 * elapsed_s])
-    a = _hear(edges.i, d, p, edges.first, *around.earlier, earlier_xy, SCALES, spread)
-    by_k, first_k = edges.k[order], np.searchsorted(edges.k[order], np.arange(edges.m + 1))
-    b = np.empty_like(a)
-    # seen from the later image time runs backward
-    b[order] = _hear(by_k, -d[order], p[order], first_k, *around.later, later_xy, SCALES, spread)
-    out = np.empty((len(d), len(HEARD)))
-    for s in range(len(SCALES)):
-        at = 5 * s
-        weight = a[:, at] + b[:, at]
-        known = weight > 1e-3
-        out[:, at] = weight
-        for c in (1, 2):
-            moment = a[:, at + c] + b[:, at + c]
-            out[:, at + c] = np.where(known, moment / np.maximum(weight, 1e-3) / elapsed_s, UNKNOWN)
-        for c in (3, 4):
-            out[:, at + c] = np.log((a[:, at + c] + b[:, at + c] + 0.05) / (weight + 0.5))
-    out[:, 10:] = np.column_stack([a[:, 10] + b[:, 10], a[:, 11] + b[:, 11], np.maximum(a[:, 12], b[:, 12])])
-    return out
-
-
 @njit(cache=True, nogil=True)
-def _hear(owner, d, p, first, near_start, near, xy, scales, spread):  # type: ignore[no-untyped-def]
+def _hear(asked, owner, d, p, first, near_start, near, xy, scales, spread):  # type: ignore[no-untyped-def]
     """Sum over the edges of neighbours: weight, residual along and across, votes narrow and wide, per scale; lanes."""
-    out, place = np.zeros((len(owner), 13)), np.zeros(len(scales))
+    out, place = np.zeros((len(asked), 13)), np.zeros(len(scales))
     alive, voice = _alive(p, first)
-    for e in range(len(owner)):
+    for at in range(len(asked)):
+        e = asked[at]
         i = owner[e]
         length = np.hypot(d[e, 0], d[e, 1])
         still = length <= STILL_M
@@ -235,20 +241,20 @@ def _hear(owner, d, p, first, near_start, near, xy, scales, spread):  # type: ig
                     wide = np.exp(-0.5 * square / spread[1] ** 2) if square < 100 * spread[1] ** 2 else 0.0
                     for c in range(len(scales)):
                         w = p[f] * place[c]
-                        out[e, 5 * c] += w
-                        out[e, 5 * c + 1] += w * along
-                        out[e, 5 * c + 2] += w * across
-                        out[e, 5 * c + 3] += w * narrow
-                        out[e, 5 * c + 4] += w * wide
+                        out[at, 5 * c] += w
+                        out[at, 5 * c + 1] += w * along
+                        out[at, 5 * c + 2] += w * across
+                        out[at, 5 * c + 3] += w * narrow
+                        out[at, 5 * c + 4] += w * wide
                 if in_lane and abs(v + across) < LANE_M:
                     after = u + along
                     if after * u < 0 or abs(after) < GAP_M:
                         broken += p[f]
                     else:
                         kept += p[f]
-            out[e, 10] += broken
-            out[e, 11] += kept
-            out[e, 12] = max(out[e, 12], broken)
+            out[at, 10] += broken
+            out[at, 11] += kept
+            out[at, 12] = max(out[at, 12], broken)
     return out
 
 

@@ -14,13 +14,11 @@ import json
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from typing import Any
 
 import numpy as np
-from numba import njit
 
 from vtrack_batch.errors import UnusableData
-from vtrack_batch.matching.candidates import Array, Edges, Index
+from vtrack_batch.matching.candidates import Array, Edges
 from vtrack_batch.matching.features import (
     BASE,
     HEARD,
@@ -34,31 +32,14 @@ from vtrack_batch.matching.features import (
 )
 from vtrack_batch.matching.flow import FlowMap
 from vtrack_batch.matching.relaxation import Labels
+from vtrack_batch.matching.trees import Trees
 
 FORMAT = "vtrack-batch trees 1"
 DEFAULT = "default.json"
-KEEP_LOG_ODDS = -6.0  # edges that Bayes' rule gives less are not scored
+KEEP_LOG_ODDS = -6.0  # edges that Bayes' rule gives less against no match,
+KEEP_SHARE = 1e-4  # or less against all their rivals, are not scored; nor scored again
 HOPELESS = 1e-6  # their probability
 LEAST_NONE = 0.01  # probability of no match is taken as at least this where odds are asked for
-
-
-@dataclass(frozen=True)
-class Trees:
-    """Decision trees laid end to end: node t goes left where column ``column[t]`` <= ``threshold[t]``.
-
-    ``left`` and ``right`` are node numbers; a leaf has column -1 and its value in ``threshold``. ``root`` (trees,).
-    """
-
-    root: Index
-    column: Index
-    threshold: Array
-    left: Index
-    right: Index
-
-    def probability(self, x: Array) -> Array:
-        """Return the probability (e,) of every row of *x* (e, columns)."""
-        nodes = self.column, self.threshold, self.left, self.right
-        return np.asarray(1 / (1 + np.exp(-_sums(np.ascontiguousarray(x), self.root, *nodes))))
 
 
 @dataclass(frozen=True)
@@ -73,8 +54,8 @@ class Model:
         try:
             content = json.loads(text)
             known = content["format"], content["columns"]
-            rounds = tuple(_trees(trees) for trees in content["rounds"])
-        except (json.JSONDecodeError, KeyError, TypeError, ValueError) as reason:
+            rounds = tuple(Trees.of(trees, len(BASE + HEARD + OWN)) for trees in content["rounds"])
+        except (json.JSONDecodeError, LookupError, TypeError, ValueError) as reason:
             raise UnusableData(f"{name} is no model of links: {reason}") from reason
         if known != (FORMAT, [*BASE, *HEARD, *OWN]):
             raise UnusableData(f"{name} was made for other columns, or another version: {known[0]!r}, not {FORMAT!r}")
@@ -99,17 +80,21 @@ def link_probabilities(
 ) -> Array:
     """Return the calibrated probability (e,) of every edge that both ends are one vehicle; points (n, 2), (m, 2)."""
     p = np.full(len(edges), HOPELESS)
-    keep = np.flatnonzero(evidence.log_odds > KEEP_LOG_ODDS)
+    bayes = shares(edges, evidence.log_odds)
+    keep = np.flatnonzero((evidence.log_odds > KEEP_LOG_ODDS) & (bayes > KEEP_SHARE))
     if len(keep):
-        kept, of_kept = edges.select(keep), evidence.select(keep)
-        around = Surroundings.of(earlier_xy, later_xy)
-        xy = earlier_xy, later_xy
-        base = base_features(kept, of_kept, around, *xy, elapsed_s=elapsed_s, flow_map=flow_map)
-        found = shares(kept, of_kept.log_odds)
-        for number, trees in enumerate((model or shipped_model()).rounds):
-            heard = heard_features(kept, found, around, *xy, elapsed_s=elapsed_s)
-            own = [own_features(kept, found)] if number else []
-            found = trees.probability(np.column_stack([base, heard, *own]))
+        kept, of_kept, found = edges.select(keep), evidence.select(keep), bayes[keep]
+        around, xy = Surroundings.of(earlier_xy, later_xy), (earlier_xy, later_xy)
+        heard = heard_features(kept, found, around, *xy, elapsed_s=elapsed_s)
+        base = base_features(kept, of_kept, around, *xy, heard=heard, elapsed_s=elapsed_s, flow_map=flow_map)
+        rounds = (model or shipped_model()).rounds
+        found = rounds[0].probability(np.column_stack([base, heard]))
+        for trees in rounds[1:]:
+            again = np.flatnonzero(found > KEEP_SHARE)
+            heard = heard_features(kept, found, around, *xy, elapsed_s=elapsed_s, asked=again)
+            columns = np.column_stack([base[again], heard, own_features(kept, found)[again]])
+            found = found.copy()
+            found[again] = trees.probability(columns)
         p[keep] = np.clip(found, HOPELESS, 1 - HOPELESS)
     return p
 
@@ -126,33 +111,3 @@ def against_none(edges: Edges, p: Array) -> Array:
     labels = labels_of(edges, p)
     none = np.sqrt(np.maximum(labels.p_none[edges.i], LEAST_NONE) * np.maximum(labels.q_none[edges.k], LEAST_NONE))
     return np.asarray(np.log(p) - np.log(none))
-
-
-def _trees(trees: list[dict[str, Any]]) -> Trees:
-    sizes = np.array([len(t["column"]) for t in trees], np.int64)
-    root = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64)
-    offset = np.repeat(root, sizes)
-
-    def joined(key: str, dtype: type) -> Any:
-        return np.concatenate([np.asarray(t[key], dtype) for t in trees])
-
-    return Trees(
-        root,
-        joined("column", np.int64),
-        joined("threshold", np.float64),
-        joined("left", np.int64) + offset,
-        joined("right", np.int64) + offset,
-    )
-
-
-@njit(cache=True, nogil=True)
-def _sums(x, root, column, threshold, left, right):  # type: ignore[no-untyped-def]
-    out = np.zeros(len(x))
-    for block in range(0, len(x), 128):  # so that a tree, and the rows it judges, stay in the cache
-        for start in root:
-            for e in range(block, min(block + 128, len(x))):
-                at = start
-                while column[at] >= 0:
-                    at = left[at] if x[e, column[at]] <= threshold[at] else right[at]
-                out[e] += threshold[at]
-    return out

@@ -20,19 +20,24 @@ from vtrack_batch.registration.alignment import register
 from vtrack_batch.registration.reference import prepare_reference
 
 
-@dataclass(frozen=True)
+@dataclass
 class Block:
-    """The frames of a unit that share one reference and one background, and where the reference lies on the ground."""
+    """The frames of a unit that share one reference and one background, and where the reference lies on the ground.
+
+    ``size`` = width and height in px of every frame; ``pixels`` of the reference, until they are handed over.
+    """
 
     ref: FrameRef
-    pixels: NDArray[np.uint8]
+    size: tuple[int, int]
     fix: GroundFix
     metres_per_px: tuple[float, float]
+    pixels: NDArray[np.uint8] | None
 
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height in px."""
-        return self.pixels.shape[1], self.pixels.shape[0]
+    def hand_over(self) -> NDArray[np.uint8]:
+        """Return the pixels of the reference and forget them: large frames are held no longer than they are used."""
+        assert self.pixels is not None, "the pixels were handed over before"
+        pixels, self.pixels = self.pixels, None
+        return pixels
 
 
 def find_block(unit: Unit, reader: Reader, context: Context) -> Block | None:
@@ -63,14 +68,15 @@ def _joined_block(unit: Unit, reader: Reader, context: Context) -> Block | None:
         if joined is None:
             raise UnusableFrame("not_joined", f"its block's reference {ref.path} does not fit {site_ref.path}")
         fix = joined
-    return Block(ref, pixels, fix, scale_at(fix.reference_to_ground, pixels.shape[1], pixels.shape[0]))
+    size = (pixels.shape[1], pixels.shape[0])
+    return Block(ref, size, fix, scale_at(fix.reference_to_ground, *size), pixels)
 
 
 def _first_readable(refs: Sequence[FrameRef], reader: Reader) -> tuple[FrameRef, NDArray[np.uint8]] | None:
     for ref in refs:
         pixels = reader.pixels(ref)
         if pixels is not None:
-            if pixels.std() >= MIN_REFERENCE_SPREAD:
+            if pixels[::_POINT_STEP_PX, ::_POINT_STEP_PX].std() >= MIN_REFERENCE_SPREAD:
                 return ref, pixels
             reader.log.refuse(ref, UnusableFrame("blank", "all pixels have nearly one value"))
     return None
@@ -78,6 +84,8 @@ def _first_readable(refs: Sequence[FrameRef], reader: Reader) -> tuple[FrameRef,
 
 MIN_REFERENCE_SPREAD = 2.0
 """Standard deviation in grey levels below which a frame shows nothing."""
+
+_POINT_STEP_PX = 5
 
 
 def _fix(ref: FrameRef, pixels: NDArray[np.uint8], reader: Reader, context: Context) -> GroundFix:

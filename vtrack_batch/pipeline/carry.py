@@ -19,7 +19,8 @@ _FREE = ("output", "execution")
 def carried(plan: Plan, output: Output) -> Plan:
     """Return *plan* and the pieces of published dates of which it knows nothing, their parts being there."""
     parts = published_parts(output)
-    gone = {date: key for date, key in parts["traffic"].items() if date not in plan.dates}
+    planned = set(plan.dates)
+    gone = {date: key for date, key in parts["traffic"].items() if date not in planned}
     dates = tuple(piece for date, key in sorted(gone.items()) for piece in _date(date, key, parts, output))
     if not dates:
         return plan

@@ -18,6 +18,7 @@ from vtrack_batch.errors import UnusableFrame, VtrackError
 from vtrack_batch.georeference.fix import GroundFix
 from vtrack_batch.model import homography
 from vtrack_batch.model.zones import TEMPLATE_NAME, Zone
+from vtrack_batch.pipeline.clocks import disagreements
 from vtrack_batch.pipeline.ground import fix_ground
 from vtrack_batch.pipeline.index import scan_archive
 from vtrack_batch.pipeline.plan import FrameRef
@@ -82,9 +83,10 @@ def check_survey(survey: Survey) -> Check:
     }
     if files.empty:
         return Check(facts, (*problems, "no frame can be used"), 65)
-    sizes, refused = _decode_sample(survey, files)
+    sample = _sample(files)
+    sizes, refused = _decode_sample(survey, sample)
     facts["sizes_px"] = sorted({f"{width} x {height}" for width, height in sizes})
-    problems += refused
+    problems += [*refused, *disagreements(survey, sample)]
     fix = _ground(survey, files.iloc[0], sizes, problems)
     facts["ground"] = _told(fix, sizes[0]) if fix else None
     if fix and facts["sequences"] > 1 and fix.method in SCALED and survey.georeference.reference_frame is None:
@@ -99,10 +101,13 @@ def check_survey(survey: Survey) -> Check:
     return Check(facts, tuple(problems), 65 if not sizes else 78 if fix is None else 0)
 
 
-def _decode_sample(survey: Survey, files: pd.DataFrame) -> tuple[list[tuple[int, int]], list[str]]:
-    chosen = np.unique(np.linspace(0, len(files) - 1, min(SAMPLE_FRAMES, len(files))).round().astype(int))
+def _sample(files: pd.DataFrame) -> pd.DataFrame:
+    return files.iloc[np.unique(np.linspace(0, len(files) - 1, min(SAMPLE_FRAMES, len(files))).round().astype(int))]
+
+
+def _decode_sample(survey: Survey, sample: pd.DataFrame) -> tuple[list[tuple[int, int]], list[str]]:
     sizes, refused = [], []
-    for path in files["path"].iloc[chosen]:
+    for path in sample["path"]:
         try:
             data = read_bytes(survey.resolve(survey.archive.root), path)
             frame = decode(data, max_pixels=survey.archive.max_pixels)
@@ -116,7 +121,7 @@ def _ground(survey: Survey, first: pd.Series, sizes: list[tuple[int, int]], prob
     if not sizes:
         return None
     root = survey.resolve(survey.archive.root)
-    ref = FrameRef("", str(first["path"]), np.datetime64(0, "us"), "")
+    ref = FrameRef(str(first["path"]), np.datetime64(0, "us"), "")
     try:
         return fix_ground(survey, root, ref, read_bytes(root, ref.path), *sizes[0])
     except VtrackError as problem:

@@ -50,7 +50,8 @@ class Cluster:
     def _submit(self, piece: Piece, work: Work, context: Context) -> Any:
         self._sent += 1
         key = f"{piece.step}-{piece.key}-{self._sent}"  # never twice, or Dask would answer from memory
-        return self._client.submit(do_isolated, piece, work, context, key=key, pure=False)
+        memory_mb = context.survey.execution.memory_mb
+        return self._client.submit(do_isolated, piece, work, context, memory_mb, key=key, pure=False)
 
     def _harvest(
         self, hands: dict[Any, Piece], context: Context, left_s: float | None

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from vtrack_batch.background.learn import Background, learn_background
 from vtrack_batch.background.stacks import Sample
+from vtrack_batch.completeness.table import INJECTIONS
 from vtrack_batch.config.survey import Survey
 from vtrack_batch.detection.candidates import Candidates, find_candidates
 from vtrack_batch.detection.ground import measure_on_ground
-from vtrack_batch.detection.place import learn_place, select
+from vtrack_batch.detection.place import flag_outside, learn_place, select
 from vtrack_batch.errors import UnusableFrame
 from vtrack_batch.georeference.ortho import orthorectify
 from vtrack_batch.model import homography
@@ -26,6 +27,7 @@ from vtrack_batch.model.ids import detection_id
 from vtrack_batch.model.tables import TABLES
 from vtrack_batch.pipeline.block import Block, find_block
 from vtrack_batch.pipeline.ground import mosaic_gsd_m
+from vtrack_batch.pipeline.inject import Detected, Seen, inject
 from vtrack_batch.pipeline.parts import Context, matrix_columns, write
 from vtrack_batch.pipeline.plan import FrameRef, Piece, Unit
 from vtrack_batch.pipeline.reading import FrameLog, Reader
@@ -33,8 +35,9 @@ from vtrack_batch.pipeline.samples import sample_store
 from vtrack_batch.registration.alignment import Registration, register
 from vtrack_batch.registration.params import RegistrationParams
 from vtrack_batch.registration.reference import Reference, prepare_reference
+from vtrack_batch.registration.steady import steady_patches
 from vtrack_batch.storage.geotiff import write_geotiff
-from vtrack_batch.storage.parquet import empty_frame
+from vtrack_batch.storage.parquet import empty_frame, write_table
 
 
 def detect_unit(piece: Piece, context: Context) -> None:
@@ -49,50 +52,63 @@ def detect_unit(piece: Piece, context: Context) -> None:
         detections = empty_frame(TABLES["detections"])
         if block is not None:
             background, references = _first_pass(unit, block, reader, context.survey, folder)
-            detections = _second_pass(unit, block, background, references, reader, context.survey)
+            detected = _second_pass(unit, block, background, references, reader, context.survey)
+            detections = _detections(unit, detected)
             _write_ground(folder, block, background, context.survey)
+            if context.survey.completeness.injections_per_unit:
+                _write_injections(folder, unit, detected, references, reader, context.survey)
         _write(folder, log, block, detections)
         about |= log.counts()
 
 
 @dataclass(frozen=True)
 class References:
-    """The block's reference frame in two digests: patches away from traffic, and patches anywhere."""
+    """The block's reference frame in two digests: patches that lie still on the ground, and patches anywhere."""
 
-    calm: Reference
+    steady: Reference
     whole: Reference
 
     def register(self, pixels: NDArray[np.uint8], params: RegistrationParams) -> Registration:
-        """Lay a frame on the reference by patches away from traffic; by all, where too few of those are in view."""
-        pose = register(pixels, self.calm, params=params)
+        """Lay a frame on the reference by patches on the ground; by all, where too few of those are in view."""
+        pose = register(pixels, self.steady, params=params)
         return pose if pose.accepted else register(pixels, self.whole, params=params)
 
 
 def _first_pass(
     unit: Unit, block: Block, reader: Reader, survey: Survey, folder: Path
 ) -> tuple[Background, References]:
-    """Learn the background from frames spread over the unit and its halo, and a reference that avoids its traffic.
+    """Learn the background from frames spread over the unit and its halo, and which patches hold still.
 
     Samples that memory should not hold wait in a file in *folder* without a name.
     """
-    rough = prepare_reference(block.pixels, params=survey.registration)
+    reference = block.hand_over()
+    rough = prepare_reference(reference, params=survey.registration)
     chosen = _spread(unit, block.ref, survey.background.samples - 1)
-    with sample_store(folder, (len(chosen) + 1) * block.pixels.nbytes) as keep:
-        samples = [Sample(block.pixels, np.eye(3))]
+    with sample_store(folder, (len(chosen) + 1) * reference.nbytes) as keep:
+        kept, laid = [keep(reference)], []
+        del reference
         for ref in chosen:
             pixels = reader.pixels(ref, block.size)
             pose = register(pixels, rough, params=survey.registration) if pixels is not None else None
             if pixels is not None and pose is not None and pose.accepted:
-                samples.append(Sample(keep(pixels), pose.frame_to_reference))
-        background = learn_background(samples, params=survey.background)
-    calm = prepare_reference(block.pixels, avoid=background.activity, params=survey.registration)
-    return background, References(calm, rough)
+                kept.append(keep(pixels))
+                laid.append(pose)
+        steady, poses = steady_patches(rough, laid, params=survey.registration)
+        samples = list(map(Sample, kept, [np.eye(3), *poses]))
+        background = learn_background(
+            samples, params=survey.background, metres_per_px=float(np.mean(block.metres_per_px))
+        )
+    return background, References(steady, rough)
 
 
 def _spread(unit: Unit, reference: FrameRef, count: int) -> list[FrameRef]:
-    """Return up to *count* frames of the unit and its halo, evenly spread in order of time, without the reference."""
+    """Return up to *count* frames of the unit and its halo, evenly spread in order of time, without the reference.
+
+    A camera that is frozen repeats itself: of frames with one content the first alone has a say.
+    """
     pool = sorted((*unit.frames, *unit.halo), key=lambda ref: (ref.t_utc, ref.frame_id))
-    pool = [ref for ref in pool if ref.frame_id != reference.frame_id]
+    first = {ref.sha256: ref for ref in reversed(pool)}
+    pool = [ref for ref in pool if ref is first[ref.sha256] and ref.sha256 != reference.sha256]
     chosen: NDArray[np.int64] | list[int] = (
         np.unique(np.linspace(0, len(pool) - 1, min(count, len(pool))).round().astype(int)) if pool else []
     )
@@ -101,19 +117,29 @@ def _spread(unit: Unit, reference: FrameRef, count: int) -> list[FrameRef]:
 
 def _second_pass(
     unit: Unit, block: Block, background: Background, references: References, reader: Reader, survey: Survey
-) -> pd.DataFrame:
-    """Register every frame, find candidates, keep those that fit the block's place model; return detections."""
+) -> Detected:
+    """Register every frame, find candidates, tell which of them fit the block's place model."""
     seen = list(_candidates(unit, block, background, references, reader, survey))
     if not seen:
-        return empty_frame(TABLES["detections"])
+        return Detected(block, background, None, [])
     refs, poses, candidates = zip(*seen, strict=True)
     times_s = np.array([(ref.t_utc - refs[0].t_utc) / np.timedelta64(1, "s") for ref in refs])
     place = learn_place(candidates, poses, times_s, metres_per_px=block.metres_per_px, params=survey.detection)
-    tables = []
+    frames = []
     for index, (ref, pose, found) in enumerate(seen):
         kept = found.take(select(found, pose, place, frame=index, params=survey.detection))
-        tables.append(_table(ref, unit.sequence, measure_on_ground(kept, block.fix.reference_to_ground @ pose)))
-    return pd.concat(tables, ignore_index=True)
+        frames.append(Seen(ref, pose, flag_outside(kept, pose, place)))
+    return Detected(block, background, place, frames)
+
+
+def _detections(unit: Unit, detected: Detected) -> pd.DataFrame:
+    """Return the detections of the unit."""
+    to_ground = detected.block.fix.reference_to_ground
+    tables = [
+        _table(seen.ref, unit.sequence, measure_on_ground(seen.vehicles, to_ground @ seen.pose))
+        for seen in detected.frames
+    ]
+    return pd.concat(tables, ignore_index=True) if tables else empty_frame(TABLES["detections"])
 
 
 def _candidates(
@@ -133,6 +159,24 @@ def _candidates(
             pixels, pose.frame_to_reference, background, metres_per_px=block.metres_per_px, params=survey.detection
         )
         yield ref, pose.frame_to_reference, found
+
+
+def _write_injections(
+    folder: Path, unit: Unit, detected: Detected, references: References, reader: Reader, survey: Survey
+) -> None:
+    """Paint known vehicles into the background's samples, count what comes back; the halo's are samples as they are."""
+    sampled = [detected.block.ref, *_spread(unit, detected.block.ref, survey.background.samples - 1)]
+    inside = {ref.frame_id for ref in unit.frames}
+
+    def halo() -> Iterator[tuple[NDArray[np.uint8], Array]]:
+        for ref in sampled:
+            pixels = reader.pixels(ref, detected.block.size) if ref.frame_id not in inside else None
+            pose = references.register(pixels, survey.registration) if pixels is not None else None
+            if pixels is not None and pose is not None and pose.accepted:
+                yield pixels, pose.frame_to_reference
+
+    rows = inject(detected, sampled, halo, reader, survey, folder)
+    write_table(folder / f"{INJECTIONS.name}.parquet", INJECTIONS, rows)
 
 
 # writing --------------------------------------------------------------------------------------------------------------

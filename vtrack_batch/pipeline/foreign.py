@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 from zoneinfo import ZoneInfo
 
 import numpy as np
 import pandas as pd
 
 from vtrack_batch.errors import ConfigError, UnusableData
+from vtrack_batch.storage.spill import row_groups
 
 NAMES = (
     "detection_id", "sequence", "t_utc", "x_m", "y_m", "red", "green", "blue", "length_m", "width_m",
     "vx_mps", "vy_mps",
 )  # fmt: skip
+Read = TypeVar("Read")
 PLACES, UPWARD = ("x_m", "y_m"), ("y_m", "vy_mps")
 CSV = (".csv", ".csv.gz", ".txt")
 
@@ -42,27 +45,47 @@ def read_detections(path: Path, declared: Declared) -> pd.DataFrame:
     A missing file, a column that is not there, or an unknown zone raises ``ConfigError``, contents that cannot be read
     ``UnusableData``.
     """
-    rows = _renamed(_read(path, declared), path, declared.columns)
+    parts = [read() for read in detection_parts(path, declared)]
+    return parts[0] if len(parts) == 1 else pd.concat(parts, ignore_index=True)
+
+
+def detection_parts(path: Path, declared: Declared) -> list[Callable[[], pd.DataFrame]]:
+    """Return what reads a table as ``read_detections`` does, part by part: the row groups of Parquet, all of a CSV."""
+    if path.name.lower().endswith(CSV):
+        return [lambda: _in_our_terms(_checked(lambda: _read_csv(path, declared), path, "CSV"), path, declared)]
+    groups = _checked(lambda: row_groups(path), path, "Parquet")
+
+    def reader(read: Callable[[], pd.DataFrame]) -> Callable[[], pd.DataFrame]:
+        return lambda: _in_our_terms(_checked(read, path, "Parquet"), path, declared)
+
+    return [reader(read) for read in groups]
+
+
+def _in_our_terms(rows: pd.DataFrame, path: Path, declared: Declared) -> pd.DataFrame:
+    rows = _renamed(rows, path, declared.columns)
     for column in (*PLACES, "vy_mps"):
         if column in rows and pd.api.types.is_numeric_dtype(rows[column]):
             sign = -1.0 if declared.y_down and column in UPWARD else 1.0
             unit = declared.metres_per_unit if column in PLACES else 1.0
             rows[column] = rows[column].astype(float) * (sign * unit)
+    if "detection_id" in rows:
+        rows["detection_id"] = rows["detection_id"].astype("string")  # as in our tables, whatever it was
     if "t_utc" in rows:
         rows["t_utc"] = _utc(rows["t_utc"], path, declared)
     return rows
 
 
-def _read(path: Path, declared: Declared) -> pd.DataFrame:
+def _read_csv(path: Path, declared: Declared) -> pd.DataFrame:
     as_text = {declared.columns.get(name, name): "str" for name in ("detection_id", "sequence")}
+    return pd.read_csv(path, dtype=as_text)
+
+
+def _checked(read: Callable[[], Read], path: Path, kind: str) -> Read:
     try:
-        if path.name.lower().endswith(CSV):
-            return pd.read_csv(path, dtype=as_text)
-        return pd.read_parquet(path)
+        return read()
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file") from None
     except (OSError, ValueError) as problem:
-        kind = "CSV" if path.name.lower().endswith(CSV) else "Parquet"
         raise UnusableData(f"{path}: not a {kind} table ({str(problem).splitlines()[0]})") from None
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -20,7 +21,6 @@ from vtrack_batch.archive.sequences import resolve_duplicates, split_sequences
 from vtrack_batch.archive.walk import RACY_S
 from vtrack_batch.config.survey import Survey
 from vtrack_batch.errors import NoArchive, StorageError, UnusableFrame
-from vtrack_batch.model.ids import frame_id
 from vtrack_batch.model.known import Known, KnownFile
 from vtrack_batch.pipeline.culprits import Culprits
 from vtrack_batch.pipeline.ground import world_files
@@ -38,16 +38,24 @@ _NEEDED = ["path", "platform", "t_utc", "sha256"]
 class Index:
     """What the archive holds.
 
-    ``frames``: one row per usable file, sorted by sequence and time: frame_id, path (printable text below the root),
-    platform, sequence, date, t_utc, sha256, beside (hash of its world file, or ""). ``quarantine``: path, reason,
-    detail of the files that are set aside. ``listing``: fingerprint of the archive's files, None where one is too
-    young to be trusted.
+    ``frames``: one row per usable file, sorted by sequence and time: path (printable text below the root), platform,
+    sequence, date, t_utc, sha256, and, where there are world files, beside (the hash of its own, or "").
+    ``quarantine``: path, reason, detail of the files that are set aside. ``listing``: fingerprint of the archive's
+    files, None where one is too young to be trusted.
     """
 
     root: Path
     frames: pd.DataFrame
     quarantine: pd.DataFrame
     listing: str | None
+
+    def content(self) -> str:
+        """Return the hash of the contents of all frames, whatever their names and order."""
+        ordered = self.frames["sha256"].sort_values(ignore_index=True)
+        whole = hashlib.sha256()
+        for start in range(0, len(ordered), BATCH):
+            whole.update("".join(ordered.iloc[start : start + BATCH]).encode("ascii"))
+        return whole.hexdigest()[:32]
 
 
 def make_index(survey: Survey, store: FileStore, culprits: Culprits) -> Index:
@@ -67,8 +75,8 @@ def make_index(survey: Survey, store: FileStore, culprits: Culprits) -> Index:
     frames = split_sequences(frames, max_gap_s=survey.archive.max_gap_s, time_zone=survey.survey.time_zone)
     if not frames["sequence"].cat.codes.is_monotonic_increasing:
         frames = frames.sort_values(["sequence", "t_utc", "path"], kind="stable", ignore_index=True)
-    frames["frame_id"] = _texts(frame_id(path) for path in frames["path"])
-    frames["beside"] = _texts(_world_file_hashes(root, frames["path"], found.beside))
+    if found.beside:
+        frames["beside"] = _texts(_world_file_hashes(root, frames["path"], found.beside))
     parts = [part for part in (found.quarantine, unreadable, fatal, doubles) if len(part)]
     set_aside = pd.concat(parts or [pd.DataFrame(columns=_QUARANTINE)])
     return Index(root, frames, set_aside.sort_values("path", ignore_index=True), found.listing)
@@ -108,16 +116,17 @@ def _hashed(root: Path, files: pd.DataFrame, store: FileStore) -> tuple[pd.DataF
     if not len(unknown):
         return files, pd.DataFrame(columns=_QUARANTINE)
     refused: list[tuple[str, str, str]] = []
-    sha256 = files["sha256"].array.copy()
+    hashes = []
     youngest_ns = time.time_ns() - int(RACY_S * 1e9)
     for batch in _batches(_read(root, files["path"], unknown, refused)):
-        rows = np.array([read.row for read in batch])
-        sha256[rows] = [read.sha256 for read in batch]
-        settled = files.iloc[rows[(files["mtime_ns"].to_numpy()[rows] <= youngest_ns)]]
-        store.remember(_facts(settled.assign(sha256=sha256[settled.index])))
+        hashes.append(pd.Series([read.sha256 for read in batch], [read.row for read in batch], dtype="str"))
+        rows = files.iloc[hashes[-1].index].assign(sha256=hashes[-1])
+        store.remember(_facts(rows[rows["mtime_ns"] <= youngest_ns]))
     if len(refused) == len(unknown) == len(files) and all(reason == "file_missing" for _, reason, _ in refused):
         raise NoArchive(f"{root}: all files vanished while they were read; is it mounted?")
-    files["sha256"] = sha256
+    if hashes:
+        read = pd.concat(hashes)
+        files["sha256"] = read if len(read) == len(files) else files["sha256"].fillna(read)
     if refused:
         files = files[files["sha256"].notna()].reset_index(drop=True)
     return files, pd.DataFrame(refused, columns=_QUARANTINE)
@@ -164,5 +173,5 @@ def _world_file_hashes(root: Path, paths: Iterable[str], beside: frozenset[str])
     """Yield the hash of the world file beside each frame, "" where there is none."""
     listed = {root / unescape(path) for path in beside}
     for path in paths:
-        found = world_files(root, path, listed)[:1] if listed else []
+        found = world_files(root, path, listed)[:1]
         yield "".join(content_hash(file.read_bytes()) for file in found)

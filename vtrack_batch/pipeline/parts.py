@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,7 @@ class Context:
     hand: Hand | None = None
     """Of a worker that may die: what it has in hand."""
 
-    @property
+    @cached_property
     def output(self) -> Output:
         """The result folder."""
         return Output(self.out)

@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 
 from vtrack_batch.config.survey import Survey
 from vtrack_batch.errors import ConfigError
+from vtrack_batch.model.ids import frame_id
 from vtrack_batch.storage.output import digest
 
 Step = Literal["detect", "track", "traffic", "picture"]
 STEPS: tuple[Step, ...] = ("detect", "track", "traffic", "picture")
 
-ALGORITHM: Mapping[Step, int] = {"detect": 2, "track": 2, "traffic": 1, "picture": 1}
+ALGORITHM: Mapping[Step, int] = {"detect": 3, "track": 3, "traffic": 2, "picture": 1}
 """Raised whenever a step may give other results from the same inputs and parameters."""
 
 SITE_CANDIDATES = 5
@@ -31,12 +32,16 @@ SITE_CANDIDATES = 5
 class FrameRef:
     """A frame without its pixels."""
 
-    frame_id: str
     path: str
     t_utc: np.datetime64
     sha256: str
     beside: str = ""
     """Hash of the world file beside it, if there is one."""
+
+    @property
+    def frame_id(self) -> str:
+        """Return the frame's id, made from its path."""
+        return frame_id(self.path)
 
 
 class Refs(Sequence[FrameRef]):
@@ -142,9 +147,9 @@ class Plan:
         return (self.detect, self.track, self.traffic, self.picture)
 
 
-def make_plan(frames: pd.DataFrame, survey: Survey, *, zones_text: str | None) -> Plan:
+def make_plan(frames: pd.DataFrame, survey: Survey, *, zones_text: str | None, flow_map: str | None = None) -> Plan:
     """Return the plan of *survey* for the indexed *frames*."""
-    settings = {step: _settings(survey, step, zones_text) for step in STEPS}
+    settings = {step: _settings(survey, step, zones_text, flow_map) for step in STEPS}
     units = cut_units(frames, unit_s=survey.execution.unit_s, halo_s=survey.execution.halo_s)
     site = _named_site(frames, survey.georeference.reference_frame)
     if site is not None:
@@ -188,9 +193,9 @@ def cut_units(frames: pd.DataFrame, *, unit_s: float, halo_s: float) -> list[Uni
 def refs_of(rows: pd.DataFrame) -> list[FrameRef]:
     """Return the rows of the index as frame references, in their order."""
     times = rows["t_utc"].dt.tz_localize(None).to_numpy("datetime64[us]")
-    texts = [rows[name].tolist() for name in ("frame_id", "path", "sha256", "beside")]
-    rows_of = zip(*texts[:2], times, *texts[2:], strict=True)
-    return [FrameRef(*row) for row in rows_of]
+    paths, sha256 = rows["path"].tolist(), rows["sha256"].tolist()
+    beside = rows["beside"].tolist() if "beside" in rows else [""] * len(rows)
+    return [FrameRef(*row) for row in zip(paths, times, sha256, beside, strict=True)]
 
 
 def _named_site(frames: pd.DataFrame, path: str | None) -> FrameRef | None:
@@ -254,7 +259,7 @@ def _frames_hash(unit: Unit) -> str:
     return digest([[(ref.path, ref.sha256, ref.beside, ref.t_utc.astype(int)) for ref in group] for group in groups])
 
 
-def _settings(survey: Survey, step: Step, zones_text: str | None) -> dict[str, str]:
+def _settings(survey: Survey, step: Step, zones_text: str | None, flow_map: str | None) -> dict[str, str]:
     """Return name → hash of what *step* reads besides its inputs: only its own sections, defaults filled in."""
     reads: dict[Step, dict[str, Any]] = {
         "detect": {
@@ -263,11 +268,14 @@ def _settings(survey: Survey, step: Step, zones_text: str | None) -> dict[str, s
             "registration": survey.registration.model_dump(mode="json"),
             "background": survey.background.model_dump(mode="json"),
             "detection": survey.detection.model_dump(mode="json"),
+            "completeness": survey.completeness.model_dump(mode="json"),
         },
         "track": {
             "matching": survey.matching.model_dump(mode="json"),
             "tracking": survey.tracking.model_dump(mode="json"),
+            "revision": survey.revision.model_dump(mode="json"),
             "zones": zones_text,
+            "flow_map": flow_map,
         },
         "traffic": {
             "traffic": survey.traffic.model_dump(mode="json"),

@@ -12,6 +12,7 @@ from vtrack_batch.pipeline.culprits import read_culprits
 from vtrack_batch.pipeline.index import Index, make_index
 from vtrack_batch.pipeline.parts import Context
 from vtrack_batch.pipeline.plan import SITE_CANDIDATES, STEPS, Piece, Plan, Step, make_plan, reason_due, refs_of
+from vtrack_batch.pipeline.record import file_hash
 from vtrack_batch.storage.hashes import FileStore
 from vtrack_batch.storage.output import Output
 
@@ -58,7 +59,7 @@ def prepare(survey: Survey, *, force: Step | None = None) -> Prepared:
         reasons = ", ".join(f"{n} {reason}" for reason, n in index.quarantine["reason"].value_counts().items())
         raise UnusableData(f"{index.root}: none of {len(index.quarantine)} files can be used ({reasons})")
     _check_ground(survey, index, zones_text)
-    plan = make_plan(index.frames, survey, zones_text=zones_text)
+    plan = make_plan(index.frames, survey, zones_text=zones_text, flow_map=_hash_of_map(survey))
     context = Context(survey, index.root, output.root, zones_text)
     return Prepared(context, index, plan, _due(plan, output, force))
 
@@ -79,6 +80,16 @@ def read_zones_text(survey: Survey) -> str | None:
     except (OSError, UnicodeDecodeError) as problem:
         why = problem.strerror if isinstance(problem, OSError) else "it is not UTF-8 text"
         raise ConfigError(f"{path}: the zone file cannot be read ({why}); see `zones` in the survey file") from None
+
+
+def _hash_of_map(survey: Survey) -> str | None:
+    """Return the hash of the flow map's file, None where none is named; raises ``ConfigError`` if there is no such."""
+    if survey.flow_map is None:
+        return None
+    found = file_hash(survey.resolve(survey.flow_map))
+    if found is None:
+        raise ConfigError(f"{survey.resolve(survey.flow_map)}: no such flow map; see `flow_map` in the survey file")
+    return found
 
 
 def _due(plan: Plan, output: Output, force: Step | None) -> tuple[Due, ...]:

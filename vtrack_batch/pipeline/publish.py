@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,9 @@ OF_DATE = ("trajectories", "crossings", "od_pairs", "turns", "speeds", "flows", 
 REPORT_DATES = 31
 """The report shows the newest dates only: of years, nobody reads all, and a page must stay readable."""
 
+REPORT_PICTURES = 12
+"""Of these dates, the newest pictures; all are files beside the report."""
+
 Done = list[tuple[Piece, Part]]
 
 
@@ -45,13 +49,12 @@ class Contents:
     links: Mapping[str, tuple[Part, str]]
     quarantine: pd.DataFrame
 
-    @property
+    @cached_property
     def hashes(self) -> dict[str, dict[str, Any]]:
         """Place → {sha256, bytes, rows} of every linked file."""
-        files = {id(part): part.files for part, _ in self.links.values()}
-        return {place: dict(files[id(part)][source]) for place, (part, source) in self.links.items()}
+        return {place: part.about["files"][source] for place, (part, source) in self.links.items()}
 
-    @property
+    @cached_property
     def parts(self) -> dict[str, dict[str, str]]:
         """Step → name of the piece → key of its part."""
         by_step: dict[str, dict[str, str]] = {step: {} for step in STEPS}
@@ -59,10 +62,11 @@ class Contents:
             by_step[piece.step][piece.name] = piece.key
         return by_step
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """What tells two snapshots apart."""
-        return digest(self.hashes, self.parts, self.quarantine.to_dict("records"))
+        files = "\n".join(f"{place} {about['sha256']}" for place, about in sorted(self.hashes.items()))
+        return digest(files, self.parts, self.quarantine.to_dict("records"))
 
     def published_in(self, output: Output) -> bool:
         """Return whether the current snapshot of *output* is this one."""
@@ -98,7 +102,7 @@ def publish(plan: Plan, index: Index, context: Context) -> tuple[Path, dict[str,
         raise StorageError(f"{staged}: cannot be written ({problem}); the earlier results are intact") from None
     hashes = {**found.hashes, QUARANTINE: described(staged)}
     manifest = _manifest(context, index, found, hashes)
-    files = {place: part.file(source) for place, (part, source) in found.links.items()}
+    files: dict[str, str | Path] = {place: f"{part.folder}/{source}" for place, (part, source) in found.links.items()}
     written = {"report/report.html": _page(manifest, found)}
     folder = output.publish({**files, QUARANTINE: staged}, written, manifest)
     with suppress(OSError):  # published is published; what is left in staging is swept
@@ -121,9 +125,9 @@ def slug(name: str) -> str:
 def _table_links(sequences: Done, dates: Done) -> Iterator[tuple[str, tuple[Part, str]]]:
     date_of = {need.key: piece.name for piece, _ in dates for need in piece.needs}
     for piece, part in sequences:
+        place = f"date={date_of[piece.key]}/{slug(piece.name)}-{piece.key[:8]}.parquet"
         for table in OF_SEQUENCE:
-            place = f"{table}/date={date_of[piece.key]}/{slug(piece.name)}-{piece.key[:8]}.parquet"
-            yield place, (part, f"{table}.parquet")
+            yield f"{table}/{place}", (part, f"{table}.parquet")
     for piece, part in dates:
         for table in OF_DATE:
             yield f"{table}/date={piece.name}/{piece.key[:8]}.parquet", (part, f"{table}.parquet")
@@ -156,11 +160,11 @@ def _manifest(
         "crs": crs,
         "time_zone": context.survey.survey.time_zone,
         "tables": {name: {"schema": f"{name}/{table.version}"} for name, table in TABLES.items()},
-        "files": {place: dict(about) for place, about in sorted(hashes.items())},
+        "files": hashes,
         "frames": {"used": used, "quarantined": lost + set_aside},
         "parts": found.parts,
         "zones_proposed": any(part.about["proposed"] for _, part in found.dates),
-        "inputs": {"frames": len(index.frames), "content": digest(sorted(index.frames["sha256"]))},
+        "inputs": {"frames": len(index.frames), "content": index.content()},
         "parameters": context.survey.model_dump(mode="json", exclude={"execution": {"workers"}}),
     }
 
@@ -171,10 +175,12 @@ def _page(manifest: Mapping[str, Any], found: Contents) -> str:
     shown = {piece.name for piece, _ in found.dates[-REPORT_DATES:]}
     parts = [part for piece, part in found.dates if piece.name in shown]
     tables = {name: read(parts, name) for name in ("od_pairs", "turns", "speeds", "coverage", "stops")}
-    images = {
-        f"{piece.name} {name.removesuffix('.png')}": part.file(name).read_bytes()
+    pictures = [
+        (f"{piece.name} {name.removesuffix('.png')}", part.file(name))
         for piece, part in found.pictures
+        if date_of(piece) in shown
         for name in sorted(part.files)
-        if name.endswith(".png") and date_of(piece) in shown
-    }
+        if name.endswith(".png")
+    ]
+    images = {caption: file.read_bytes() for caption, file in pictures[-REPORT_PICTURES:]}
     return summary_page(dict(manifest), {**tables, "quarantine": found.quarantine}, images)

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pandas as pd
 
-from vtrack_batch.errors import ConfigError, UnusableData
+from vtrack_batch.errors import ConfigError, UnusableData, VtrackError
 from vtrack_batch.matching.flow import FlowMap
 from vtrack_batch.matching.match import match
+from vtrack_batch.matching.params import MatchingParams
 from vtrack_batch.model.tables import TABLES, Table
-from vtrack_batch.pipeline.foreign import Declared, read_detections
+from vtrack_batch.pipeline.foreign import Declared, detection_parts, read_detections
+from vtrack_batch.pipeline.stream import runs_of, survey
 from vtrack_batch.storage.output import make_folder
 from vtrack_batch.storage.parquet import write_table
+from vtrack_batch.storage.spill import Spill
 from vtrack_batch.tracking.learn import learn_flow
-from vtrack_batch.tracking.track import track
+from vtrack_batch.tracking.params import TrackingParams
+from vtrack_batch.tracking.track import chosen_method, track_runs
 
 TIMES = ("t_from_utc", "t_to_utc")
+MADE = ("trajectories", "track_points", "matches")
 
 
 def match_files(
@@ -61,12 +69,35 @@ def track_file(
     flow_map: Path | None = None,
     declared: Declared | None = None,
 ) -> dict[str, int]:
-    """Track a table of detections; write trajectories, track_points and matches into *out*; returns their rows."""
-    rows = read_detections(detections, declared or Declared())
-    tracks = track(rows, method=method, flow_map=load_map(flow_map))
+    """Track a table of detections; write trajectories, track_points and matches into *out*; returns their rows.
+
+    The table is read part by part and tracked window by window: memory does not grow with its length, but for eight
+    bytes a row. A Parquet table in order of time is read twice, another one oftener.
+    """
+    parts = detection_parts(detections, declared or Declared())
+    matching, params, flow = MatchingParams(), TrackingParams(), load_map(flow_map)
+    chosen, sigma_m = chosen_method(method, matching), params.motion.position_sigma_m
+    sequences = [runs_of(course, parts, sigma_m) for course in survey(parts)]
+    with _folder_of_success(out), TemporaryDirectory(dir=out, prefix=".spill-") as folder:
+        spills = {name: Spill(TABLES[name], Path(folder) / name) for name in MADE}
+        for runs in sequences:
+            for tracks in track_runs(runs, chosen, flow, matching, params):
+                for name, spill in spills.items():
+                    spill.add(getattr(tracks, name))
+        return {name: spill.write(out / f"{name}.parquet") for name, spill in spills.items()}
+
+
+@contextmanager
+def _folder_of_success(out: Path) -> Iterator[None]:
+    """Make the folder *out*, and take it away again where what is to be written into it cannot be made."""
+    fresh = not out.exists()
     make_folder(out)
-    made = {"trajectories": tracks.trajectories, "track_points": tracks.track_points, "matches": tracks.matches}
-    return {name: write_table(out / f"{name}.parquet", TABLES[name], table) for name, table in made.items()}
+    try:
+        yield
+    except VtrackError:
+        if fresh:
+            out.rmdir()
+        raise
 
 
 def learn_file(detections: Path, out: Path, *, declared: Declared | None = None) -> FlowMap:

@@ -8,12 +8,15 @@ import numpy as np
 import pandas as pd
 
 from vtrack_batch.errors import ConfigError
+from vtrack_batch.matching.flow import FlowMap
 from vtrack_batch.matching.params import MatchingParams
 from vtrack_batch.model import homography
 from vtrack_batch.model.views import Views
 from vtrack_batch.model.zones import excluded
 from vtrack_batch.pipeline.parts import Context, matrices_of, read, write
 from vtrack_batch.pipeline.plan import Piece
+from vtrack_batch.pipeline.revise import track_revised
+from vtrack_batch.pipeline.tables import load_map
 from vtrack_batch.storage.output import Part
 from vtrack_batch.tracking.track import Tracks, track
 from vtrack_batch.traffic.zones import parse_zones
@@ -25,7 +28,7 @@ def track_sequence(piece: Piece, context: Context) -> None:
     seen = {name: read(parts, name) for name in ("frames", "registrations", "references", "detections")}
     crs = one_crs(seen["references"]["crs"].dropna())
     views = make_views(piece.name, seen)
-    tracks = _track(seen["detections"], views, context, crs)
+    tracks, seen["detections"] = _track(seen["detections"], views, context, crs)
     used = int((seen["frames"]["status"].astype(str) == "used").sum())
     about = {"crs": crs, "frames_used": used, "frames_lost": len(seen["frames"]) - used}
     with context.new_part(piece, about) as folder:
@@ -73,17 +76,25 @@ def views_of(part: Part, sequence: str) -> Views:
     return make_views(sequence, {name: read([part], name) for name in ("frames", "registrations", "references")})
 
 
-def _track(detections: pd.DataFrame, views: Views, context: Context, crs: str | None) -> Tracks:
+def _track(detections: pd.DataFrame, views: Views, context: Context, crs: str | None) -> tuple[Tracks, pd.DataFrame]:
+    """Return the tracks, and the detections as the tracks revised them."""
     survey = context.survey
+    inside = np.zeros(len(detections), bool)
     if context.zones_text is not None:
         zones = parse_zones(context.zones_text, crs=crs, source=str(survey.zones))
         inside = excluded(zones, detections["x_m"].to_numpy(), detections["y_m"].to_numpy())
-        detections = detections.loc[~inside].reset_index(drop=True)
     matching: MatchingParams = survey.matching
-    return track(
-        detections,
-        views={views.sequence: views},
-        method=matching.method,
-        matching=matching,
-        params=survey.tracking,
-    )
+    flow_map = load_map(survey.resolve(survey.flow_map) if survey.flow_map else None)
+
+    def tracked(rows: pd.DataFrame, taught: FlowMap | None = None) -> Tracks:
+        return track(
+            rows,
+            views={views.sequence: views},
+            method=matching.method,
+            flow_map=taught if flow_map is None and survey.tracking.link.self_taught else flow_map,
+            matching=matching,
+            params=survey.tracking,
+        )
+
+    tracks, revised = track_revised(detections[~inside].reset_index(drop=True), views, tracked, survey.revision)
+    return tracks, pd.concat([revised, detections[inside]], ignore_index=True) if inside.any() else revised

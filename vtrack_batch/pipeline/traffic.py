@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+from vtrack_batch.pipeline.completeness import with_completeness
 from vtrack_batch.pipeline.parts import Context, read, write
 from vtrack_batch.pipeline.plan import Piece
 from vtrack_batch.pipeline.track import one_crs, views_of
@@ -24,6 +25,7 @@ def measure_date(piece: Piece, context: Context) -> None:
     else:
         zones = propose_zones(trajectories, track_points, views, params=survey.traffic)
     tables = measure(trajectories, track_points, zones, views, time_zone=survey.survey.time_zone, params=survey.traffic)
+    tables["coverage"] = with_completeness(tables["coverage"], piece.needs, zones, context)
     proposed = context.zones_text is None
     with context.new_part(piece, {"crs": crs, "proposed": proposed}) as folder:
         write(folder, tables, crs)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
+import cv2
 import numpy as np
 import shapely
 from numpy.typing import NDArray
@@ -15,14 +16,14 @@ from vtrack_batch.model import homography
 from vtrack_batch.registration.coarse import Guess, pose_by_features, pose_by_flow
 from vtrack_batch.registration.params import RegistrationParams
 from vtrack_batch.registration.patches import Search, Sightings, find_patches
-from vtrack_batch.registration.pose import Consensus, Pose, distances, fit_pose
-from vtrack_batch.registration.reduction import Grey, green_plane, reduce
+from vtrack_batch.registration.pose import Consensus, Pose, distances, fit_pose, refit_pose
+from vtrack_batch.registration.reduction import Grey, green_of, thin
 from vtrack_batch.registration.reference import Reference
 
 Reason = Literal["blank", "not_registered", "little_overlap", "partly_covered", "residual_too_large"]
 
 _COVERAGE_CELLS = 4
-_FIRST_PATCHES = 60
+_FIRST_PATCHES = 45
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +32,8 @@ class Registration:
 
     ``frame_to_reference`` (3, 3) float64, last element 1; ``inliers`` patches of the fit that agree with it;
     ``inlier_share`` of those found; ``residual_px``: robust root mean square distance at patches kept out of the fit,
-    in reference pixels (inf where nothing was found); ``reason``: why it was refused, None if accepted.
+    in reference pixels (inf where nothing was found); ``reason``: why it was refused, None if accepted; ``patches_px``
+    (m, 2) float64: where in the frame the reference's patches were found, NaN = not found.
     """
 
     frame_to_reference: NDArray[np.float64]
@@ -40,11 +42,13 @@ class Registration:
     residual_px: float
     accepted: bool
     reason: Reason | None
+    patches_px: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
     pose: Pose
+    patches_px: NDArray[np.float64]
     confirmed_share: float
     coverage_share: float
     overlap_share: float
@@ -63,10 +67,10 @@ def register(
     *start* (3, 3) if given, then features. A frame that tells its own place is thus laid the same way whatever frame
     came before it.
     """
-    plane = green_plane(pixels)
-    reduced = reduce(plane, reference.factor)
-    if float(reduced.std()) < params.min_contrast:
-        return Registration(np.eye(3), 0, 0.0, float("inf"), False, "blank")
+    plane = green_of(pixels)
+    reduced = thin(plane, reference.factor)
+    if float(cv2.meanStdDev(reduced)[1].item()) < params.min_contrast:
+        return _lost(reference, "blank")
     best: _Trial | None = None
     for guess in _guesses(plane, reduced, reference, start=start, seed=params.seed):
         trial = _refined(plane, reference, guess, params)
@@ -75,9 +79,14 @@ def register(
         if best is not None and _doubt(best, params) is None:
             break
     if best is None:
-        return Registration(np.eye(3), 0, 0.0, float("inf"), False, "not_registered")
+        return _lost(reference, "not_registered")
     reason, pose = _doubt(best, params), best.pose
-    return Registration(pose.matrix, pose.inliers, pose.inlier_share, pose.residual_px, reason is None, reason)
+    told = pose.matrix, pose.inliers, pose.inlier_share, pose.residual_px
+    return Registration(*told, reason is None, reason, best.patches_px)
+
+
+def _lost(reference: Reference, reason: Reason) -> Registration:
+    return Registration(np.eye(3), 0, 0.0, float("inf"), False, reason, np.full_like(reference.centres_px, np.nan))
 
 
 def _guesses(
@@ -95,26 +104,31 @@ def _refined(plane: Grey, reference: Reference, guess: Guess, params: Registrati
     """Return the pose after two rounds of patches: a few to mend the guess, then all of them."""
     every = np.ones(len(reference.centres_px), bool)
     few = np.arange(len(every)) % max(1, len(every) // _FIRST_PATCHES) == 0
-    mended = _fitted(plane, reference, guess, few, params=params)
+    first = _found(plane, reference, guess, few, params=params)
+    mended = fit_pose(*_pairs(first, reference), Consensus(params.inlier_tolerance_px, params.seed))
     if mended is None:
         return None
-    better = Guess(mended[0].matrix, mended[0].residual_px)
-    final = _fitted(plane, reference, better, every, params=params)
-    return None if final is None else _judged(*final, plane.shape, reference, params)
+    seen = _found(plane, reference, Guess(mended.matrix, mended.residual_px), every, params=params)
+    final = refit_pose(mended.matrix, *_pairs(seen, reference), params.inlier_tolerance_px)
+    return None if final is None else _judged(final, seen, plane.shape, reference, params)
 
 
-def _fitted(
+def _found(
     plane: Grey, reference: Reference, guess: Guess, chosen: NDArray[np.bool_], *, params: RegistrationParams
-) -> tuple[Pose, Sightings] | None:
-    """Find the *chosen* patches around the places that *guess* predicts, and fit a pose to where they are."""
+) -> Sightings:
+    """Look for the *chosen* patches around the places that *guess* predicts."""
     # Where the scene is rigid a good guess leaves little to look for; where it leans and sways, more.
-    reach_px = math.ceil(min(params.search_px, 2 + 3 * guess.error_px))
+    reach_px = math.ceil(min(params.search_px, 1.5 + 3 * guess.error_px))
     search = Search(reach_px, params.min_correlation)
-    sightings = find_patches(plane, reference, guess.frame_to_reference, chosen=chosen, search=search)
+    return find_patches(plane, reference, guess.frame_to_reference, chosen=chosen, search=search)
+
+
+def _pairs(
+    sightings: Sightings, reference: Reference
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the places of patches in the frame, in the reference, and which never enter a fit."""
     found = sightings.found
-    consensus = Consensus(params.inlier_tolerance_px, params.seed)
-    pose = fit_pose(sightings.frame_px[found], reference.centres_px[found], reference.held_out[found], consensus)
-    return None if pose is None else (pose, sightings)
+    return sightings.frame_px[found], reference.centres_px[found], reference.held_out[found]
 
 
 def _judged(
@@ -136,6 +150,7 @@ def _judged(
     vouched = borne_out >= 0.1 * shown
     return _Trial(
         pose,
+        sightings.frame_px,
         confirmed_share=float(confirmed[checked].mean()) if checked.any() else 0.0,
         coverage_share=float((shown * (vouched & (borne_out > 0))).sum() / max(1, shown.sum())),
         overlap_share=_overlap_share(pose.matrix, plane_shape, reference),

@@ -49,7 +49,7 @@ def pose_by_flow(reduced: Grey, reference: Reference, seed: int) -> Guess:
 
 def pose_by_features(plane: Grey, reference: Reference, seed: int) -> Guess | None:
     """Guess the pose from ORB features, which survive any rotation; None if none."""
-    here, there = find_features(plane), reference.features
+    here, there = find_features(np.ascontiguousarray(plane)), reference.features
     if min(len(here.points_px), len(there.points_px)) < 8:
         return None
     pairs = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(here.descriptors, there.descriptors)
@@ -69,8 +69,8 @@ def _flow(coarse: Grey, reference: Reference, shift: tuple[int, int], seed: int)
         coarse,
         start.reshape(-1, 1, 2),
         guess.reshape(-1, 1, 2),
-        winSize=(21, 21),
-        maxLevel=3,
+        winSize=(15, 15),
+        maxLevel=2,
         criteria=_FLOW_CRITERIA,
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )

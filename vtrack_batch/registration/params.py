@@ -14,11 +14,14 @@ class RegistrationParams(Params):
     be located, how far its place can be mispredicted. None of them needs to change with the ground sampling distance.
     """
 
-    patches: int = Field(300, ge=40, le=5000, description="full-resolution patches spread over the reference frame")
+    patches: int = Field(500, ge=40, le=5000, description="full-resolution patches spread over the reference frame")
+    steady_share: float = Field(
+        0.33, gt=0.0, le=1.0, description="share of the patches that is kept: the steadiest over the block's samples"
+    )
     held_out_share: float = Field(
         0.25, ge=0.1, le=0.5, description="share of the patches that are kept out of the fit and measure its residual"
     )
-    patch_px: int = Field(31, ge=11, le=127, description="side of a patch; an even number is rounded up to an odd one")
+    patch_px: int = Field(25, ge=11, le=127, description="side of a patch; an even number is rounded up to an odd one")
     search_px: int = Field(12, ge=4, le=64, description="how far from its predicted place a patch is looked for")
     min_correlation: float = Field(
         0.6, gt=0.0, lt=1.0, description="normalised cross-correlation from which a patch counts as found"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -14,6 +15,7 @@ from vtrack_batch.registration.polishing import polished
 Points = NDArray[np.float64]
 
 _FEWEST_POINTS = 8
+_AFFINE = np.array([[1.0, 1.0, 1.0], [1.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
 # A homography must predict unseen points this much better than an affine map before its two extra freedoms are used.
 _PREFERENCE = 0.9
 # The residual is told from the closest 40 % of the points, so that 60 % may lie on moving things or on roofs. Distances
@@ -51,22 +53,44 @@ def fit_pose(source: Points, target: Points, held_out: NDArray[np.bool_], consen
     An affine map and a homography are fitted by MAGSAC++ (Barath et al. 2020) and polished by iteratively reweighted
     least squares; the one with the smaller robust residual at the held-out points is returned, None if neither fits.
     """
-    fitting, checking = ~held_out, held_out
-    if fitting.sum() < _FEWEST_POINTS or checking.sum() < 2:
+    fitting = ~held_out
+    if not _enough(held_out):
         return None
-    poses = []
-    for freedoms, sample in ((6, _sampled_affine), (8, _sampled_homography)):
-        matrix = sample(source[fitting], target[fitting], consensus)
-        if matrix is None:
+    starts = [sample(source[fitting], target[fitting], consensus) for sample in (_sampled_affine, _sampled_homography)]
+    return _better(source, target, held_out, starts, consensus.tolerance_px)
+
+
+def refit_pose(
+    matrix: NDArray[np.float64], source: Points, target: Points, held_out: NDArray[np.bool_], tolerance_px: float
+) -> Pose | None:
+    """Fit as `fit_pose` does, from a *matrix* (3, 3) that is nearly right: nothing is left to chance."""
+    if not _enough(held_out):
+        return None
+    return _better(source, target, held_out, [matrix * _AFFINE, matrix], tolerance_px)
+
+
+def _enough(held_out: NDArray[np.bool_]) -> bool:
+    return bool((~held_out).sum() >= _FEWEST_POINTS and held_out.sum() >= 2)
+
+
+def _better(
+    source: Points,
+    target: Points,
+    held_out: NDArray[np.bool_],
+    starts: Sequence[NDArray[np.float64] | None],
+    tolerance_px: float,
+) -> Pose | None:
+    """Polish the affine map and the homography of *starts*; return the one that better predicts *held_out* points."""
+    here, there, poses = source[~held_out], target[~held_out], []
+    for freedoms, start in zip((6, 8), starts, strict=True):
+        if start is None:
             continue
-        matrix = polished(
-            matrix, source[fitting], target[fitting], freedoms=freedoms, tolerance_px=consensus.tolerance_px
-        )
+        matrix = polished(start, here, there, freedoms=freedoms, tolerance_px=tolerance_px)
         if not _is_plausible(matrix, source):
             continue
-        inliers = int((distances(matrix, source[fitting], target[fitting]) <= consensus.tolerance_px).sum())
-        residual = robust_rms(distances(matrix, source[checking], target[checking]))
-        poses.append(Pose(homography.normalised(matrix), inliers, int(fitting.sum()), residual))
+        inliers = int((distances(matrix, here, there) <= tolerance_px).sum())
+        residual = robust_rms(distances(matrix, source[held_out], target[held_out]))
+        poses.append(Pose(homography.normalised(matrix), inliers, len(here), residual))
     if not poses:
         return None
     affine, last = poses[0], poses[-1]

@@ -13,20 +13,19 @@ from vtrack_batch.errors import UnusableFrame
 from vtrack_batch.registration.params import RegistrationParams
 from vtrack_batch.registration.reduction import (
     Grey,
-    green_plane,
+    green_of,
     level_contrast,
     no_data,
     reduce,
     reduction_factor,
+    thin,
     to_reduced,
 )
 
-_COARSE_POINTS = 160
+_COARSE_POINTS = 90
 _ORB_FEATURES = 2000
 _ORB_PIXELS = 500_000
 _FEWEST_PATCHES = 20
-_SMALLEST_FREE_SHARE = 0.3
-_ENOUGH_SHARE = 0.4
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,25 +55,20 @@ class Reference:
     held_out: NDArray[np.bool_]
 
 
-def prepare_reference(
-    pixels: NDArray[np.uint8], *, avoid: NDArray[np.bool_] | None = None, params: RegistrationParams
-) -> Reference:
+def prepare_reference(pixels: NDArray[np.uint8], *, params: RegistrationParams) -> Reference:
     """Digest the reference frame *pixels* (H, W, 3) uint8 RGB of a block.
 
-    *avoid* (H, W) bool marks places that change between frames, because things move there or lean: no patch touches
-    them, unless too little ground is left for patches, in which case all of *avoid* is disregarded. Patches are the
-    best corners (Shi & Tomasi 1994) of a regular grid of cells, so that every part of the frame has its say.
+    Patches are the best corners (Shi & Tomasi 1994) of a regular grid of cells, so that every part of the frame has its
+    say; which of them are worth more than others only frames can tell, see `steady_patches`.
 
     Raises `UnusableFrame` (``blank``) where the frame has too little texture to register anything to.
     """
-    plane = green_plane(pixels)
-    if avoid is not None and avoid.shape != plane.shape:
-        raise ValueError(f"avoid has shape {avoid.shape}, the frame {plane.shape}")
-    centres, barred = _place_patches(plane, no_data(pixels), avoid, params)
+    plane, missing = np.ascontiguousarray(green_of(pixels)), no_data(pixels)
+    centres = _patch_centres(plane, missing, params)
     rows, columns = plane.shape
     factor = reduction_factor((rows, columns), params.coarse_pixels)
-    levelled = level_contrast(reduce(plane, factor))
-    allowed = reduce((~barred).view(np.uint8) * np.uint8(255), factor) == 255
+    levelled = level_contrast(thin(plane, factor))
+    allowed = reduce((~missing).view(np.uint8) * np.uint8(255), factor) == 255
     if len(centres) < _FEWEST_PATCHES:
         raise UnusableFrame("blank", f"{len(centres)} corners found, {_FEWEST_PATCHES} are needed of a reference frame")
     half = params.patch_px // 2
@@ -86,7 +80,7 @@ def prepare_reference(
         features=find_features(plane),
         patches=np.stack([plane[y - half : y + half + 1, x - half : x + half + 1] for x, y in centres]),
         centres_px=centres.astype(float),
-        held_out=_held_out(len(centres), params.held_out_share),
+        held_out=spread(len(centres), params.held_out_share),
     )
 
 
@@ -101,29 +95,15 @@ def find_features(plane: Grey) -> Features:
     return Features(points * to_full[0, 0] + to_full[0, 2], np.asarray(descriptors))
 
 
-def _place_patches(
-    plane: Grey, missing: NDArray[np.bool_], avoid: NDArray[np.bool_] | None, params: RegistrationParams
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return the centres (m, 2) of patches and the places (H, W) that were barred to them."""
-    anywhere = _patch_centres(plane, missing, params, params.patches)
-    if avoid is None or not avoid.any():
-        return anywhere, missing
-    barred = missing | avoid
-    # Where much is barred a finer grid keeps the number of patches up.
-    share = max(_SMALLEST_FREE_SHARE, 1 - float(np.count_nonzero(barred)) / barred.size)
-    centres = _patch_centres(plane, barred, params, round(params.patches / share))
-    return (centres, barred) if len(centres) >= _ENOUGH_SHARE * len(anywhere) else (anywhere, missing)
-
-
-def _patch_centres(plane: Grey, barred: NDArray[np.bool_], params: RegistrationParams, cells: int) -> NDArray[np.int64]:
-    """Return the best corner (col, row) of each cell of a grid of about so many *cells*, row by row."""
+def _patch_centres(plane: Grey, barred: NDArray[np.bool_], params: RegistrationParams) -> NDArray[np.int64]:
+    """Return the best corner (col, row) of each cell of a grid, row by row."""
     margin = params.patch_px // 2 + 1
     rows, columns = plane.shape
     inner_rows, inner_columns = rows - 2 * margin, columns - 2 * margin
     if inner_rows < 8 or inner_columns < 8:
         return np.empty((0, 2), np.int64)
-    down = max(1, round((cells * inner_rows / inner_columns) ** 0.5))
-    across = max(1, round(cells / down))
+    down = max(1, round((params.patches * inner_rows / inner_columns) ** 0.5))
+    across = max(1, round(params.patches / down))
     row_edges = np.linspace(margin, rows - margin, down + 1).astype(int)
     column_edges = np.linspace(margin, columns - margin, across + 1).astype(int)
     # A patch must not even touch a barred place: grow those by half a patch first.
@@ -154,7 +134,7 @@ def _corners(image: Grey, allowed: NDArray[np.bool_], count: int, spacing_px: in
     return np.empty((0, 2), np.float32) if found is None else np.asarray(found, np.float32).reshape(-1, 2)
 
 
-def _held_out(count: int, share: float) -> NDArray[np.bool_]:
-    """Mark a *share* of *count* patches, evenly in their order, so that they lie all over the frame."""
+def spread(count: int, share: float) -> NDArray[np.bool_]:
+    """Mark a *share* of *count* patches in rows of a grid, so that the marked ones lie all over the frame."""
     # The golden ratio steps through the rows of the grid without lining up into columns.
     return np.asarray((np.arange(count) * 0.6180339887498949) % 1.0 < share)

@@ -36,7 +36,7 @@ def replace_durable(path: Path, content: str | bytes) -> None:
             draft.unlink()
 
 
-def fsync(path: Path) -> None:
+def fsync(path: str | Path) -> None:
     """Flush a file or a folder to the disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
@@ -45,7 +45,7 @@ def fsync(path: Path) -> None:
         os.close(handle)
 
 
-def fsync_folders(folders: Collection[Path]) -> None:
+def fsync_folders(folders: Collection[str]) -> None:
     """Flush the names in *folders* to the disk."""
     if len(folders) > FEW_FOLDERS:
         os.sync()
@@ -65,7 +65,7 @@ def make_durable_folder(folder: Path) -> None:
         fsync(made.parent)
 
 
-def link(source: Path, place: str) -> None:
+def link(source: str | Path, place: str) -> None:
     """Give the file *source* a second name *place*; where the file system has no links, a copy."""
     try:
         os.link(source, place)
@@ -81,4 +81,6 @@ def remove_tree(folder: Path) -> None:
     doomed = folder.with_name(f".removed-{secrets.token_hex(8)}")
     with suppress(FileNotFoundError):
         folder.rename(doomed)
+    if doomed.is_symlink():
+        doomed.unlink()  # somebody laid it there: where it leads is not ours
     shutil.rmtree(doomed, ignore_errors=True)

@@ -13,6 +13,7 @@ filled under ``state/staging`` and renamed into ``data`` when it is whole: a par
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -21,6 +22,7 @@ import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +73,8 @@ class Output:
         try:
             for folder in (self.data, self.snapshots, self.staging):
                 make_durable_folder(folder)
+            if len({folder.stat().st_dev for folder in (self.data, self.snapshots, self.staging, self.root)}) > 1:
+                raise OSError(errno.EXDEV, "data, snapshots and state must be on its own file system")
             # beside the staging area, which the holder of the lock may just be clearing
             probe = self.state / f"probe-{secrets.token_hex(4)}"
             probe.write_bytes(b"")
@@ -97,7 +101,7 @@ class Output:
     def _sweep(self) -> None:
         """Remove what is half written; a worker that outlived its run can no longer finish any of it."""
         remove_tree(self.staging)
-        self.staging.mkdir(exist_ok=True)
+        self.staging.mkdir(0o700)  # nobody else can lay a link where a file is about to be written
         for folder in (*self.state.glob(".removed-*"), *self.snapshots.glob(".removed-*")):
             shutil.rmtree(folder, ignore_errors=True)
         for rest in (*self.root.glob(".current-*"), *self.state.glob("probe-*"), *self.state.glob(".*.tmp")):
@@ -116,7 +120,8 @@ class Output:
         """Return the finished part, or None."""
         folder = self.data / step / key
         try:
-            about = json.loads((folder / "part.json").read_bytes())
+            with open(f"{folder}/part.json", "rb") as stream:  # noqa: PTH123 # snapshots ask for thousands
+                about = json.loads(stream.read())
         except (FileNotFoundError, NotADirectoryError):
             return None
         except (OSError, ValueError) as problem:
@@ -160,13 +165,15 @@ class Output:
 
     def current_manifest(self) -> dict[str, Any] | None:
         """Return the manifest of the published snapshot, or None before the first."""
+        path = self.current.resolve() / "manifest.json"
         try:
-            return dict(json.loads((self.current.resolve() / "manifest.json").read_bytes()))
+            status = path.stat()
+            return dict(_manifest(path, status.st_ino, status.st_size, status.st_mtime_ns))
         except (OSError, ValueError):
             return None
 
     def publish(
-        self, links: Mapping[str, Path], written: Mapping[str, str | bytes], manifest: Mapping[str, Any]
+        self, links: Mapping[str, str | Path], written: Mapping[str, str | bytes], manifest: Mapping[str, Any]
     ) -> Path:
         """Publish a snapshot: *links* (place in the snapshot → file of a part), *written* (place → content), manifest.
 
@@ -202,6 +209,12 @@ class Output:
         fsync(self.root)
 
 
+@lru_cache(maxsize=1)
+def _manifest(path: Path, *_: int) -> dict[str, Any]:
+    """Return a manifest; that of ten years takes a while to read, and a run asks for it several times."""
+    return dict(json.loads(path.read_bytes()))
+
+
 def make_folder(folder: Path) -> None:
     """Make *folder* and what leads to it; raises ``CannotCreate`` where that is impossible."""
     try:
@@ -234,24 +247,24 @@ def _seal(draft: Path, about: Mapping[str, Any]) -> None:
     write_durable(draft / "part.json", _json({**about, "files": files}))
     for name in files:
         fsync(draft / name)
-    fsync_folders({draft, *((draft / name).parent for name in files)})
+    fsync_folders({str(path) for path in (draft, *((draft / name).parent for name in files))})
 
 
-def _fill(draft: Path, links: Mapping[str, Path], written: Mapping[str, str | bytes]) -> None:
+def _fill(draft: Path, links: Mapping[str, str | Path], written: Mapping[str, str | bytes]) -> None:
     """Lay out a snapshot: a name for every file, and a durable folder for every name."""
-    folders = {""}
+    folders = {""}  # as texts: a path object costs more than the folder or the link
     for place in (*links, *written):
         folder = place.rpartition("/")[0]
         while folder not in folders:
             folders.add(folder)
             folder = folder.rpartition("/")[0]
     for folder in sorted(folders):
-        os.makedirs(f"{draft}/{folder}", exist_ok=True)  # noqa: PTH103 # a path object costs more than the folder
+        os.mkdir(f"{draft}/{folder}")  # noqa: PTH102 # in this order, after the folder that it is in
     for place, source in links.items():
         link(source, f"{draft}/{place}")
     for name, content in written.items():
         write_durable(draft / name, content)
-    fsync_folders({draft / folder for folder in folders})
+    fsync_folders([f"{draft}/{folder}" for folder in folders])
 
 
 def _json(value: Mapping[str, Any]) -> str:
@@ -260,15 +273,14 @@ def _json(value: Mapping[str, Any]) -> str:
     for key in sorted(value):
         inner = value[key]
         if isinstance(inner, dict) and inner:
-            rows = (f"  {json.dumps(str(name), ensure_ascii=False)}: {_compact(inner[name])}" for name in sorted(inner))
+            rows = (f"  {_compact(str(name))}: {_compact(inner[name])}" for name in sorted(inner))
             lines.append(f" {json.dumps(key)}: {{\n" + ",\n".join(rows) + "\n }")
         else:
             lines.append(f" {json.dumps(key)}: {_compact(inner)}")
     return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
-def _compact(value: Any) -> str:
-    return json.dumps(value, sort_keys=True, ensure_ascii=False)
+_compact = json.JSONEncoder(sort_keys=True, ensure_ascii=False).encode
 
 
 def _not_written(what: str, problem: OSError) -> str:

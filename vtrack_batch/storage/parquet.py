@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 from vtrack_batch.model.tables import Column, Table
 
 ROW_GROUP_ROWS = 262_144
+AS_FILE: dict[str, Any] = {"compression": "zstd", "compression_level": 3, "write_page_checksum": True}
 
 _ARROW: dict[str, pa.DataType] = {
     "text": pa.string(),
@@ -50,38 +51,55 @@ def to_arrow(table: Table, rows: pd.DataFrame, crs: str | None = None) -> pa.Tab
 
     Raises ``BrokenTable`` for missing columns, nulls or infinities where none may be, and doubled keys.
     """
+    made = to_plain(table, rows)
+    # encoded after sorting, so that the dictionaries' order does not tell in which order rows were given
+    coded = {name: made[name].combine_chunks().dictionary_encode().dictionary for name in categories(table)}
+    return encoded(table, made, coded, crs)
+
+
+def to_plain(table: Table, rows: pd.DataFrame) -> pa.Table:
+    """Return *rows* sorted and checked as ``to_arrow`` does, categories as text."""
     missing = set(table.column_names) - set(rows.columns)
     if missing:
         raise BrokenTable(f"{table.name}: columns missing: {sorted(missing)}")
     made = pa.table([_array(table, column, rows[column.name]) for column in table.columns], names=table.column_names)
-    made = made.take(pc.sort_indices(made, [(name, "ascending") for name in _order(table)])).combine_chunks()
+    made = in_order(table, made)
     _refuse_doubles(table, made)
-    # encoded after sorting, so that the dictionaries' order does not tell in which order rows were given
-    coded = [
-        made[c.name].combine_chunks().dictionary_encode().cast(_ARROW[c.type]) if c.type == "category" else made[c.name]
-        for c in table.columns
-    ]
-    return pa.table(coded, schema=arrow_schema(table, crs)).combine_chunks()
+    return made
+
+
+def in_order(table: Table, made: pa.Table) -> pa.Table:
+    """Return rows of *table* sorted by its key, by time first where the key has none."""
+    return made.take(pc.sort_indices(made, [(name, "ascending") for name in order_of(table)])).combine_chunks()
+
+
+def categories(table: Table) -> list[str]:
+    """Return the names of the columns that are kept as codes."""
+    return [column.name for column in table.columns if column.type == "category"]
+
+
+def encoded(table: Table, made: pa.Table, values: Mapping[str, pa.Array], crs: str | None = None) -> pa.Table:
+    """Return sorted rows in the declared schema; *values* holds for every category its values in order of codes."""
+
+    def coded(name: str) -> pa.Array:
+        codes = pc.index_in(made[name].combine_chunks(), value_set=values[name])
+        return pa.DictionaryArray.from_arrays(codes, values[name])
+
+    columns = [coded(c.name) if c.type == "category" else made[c.name] for c in table.columns]
+    return pa.table(columns, schema=arrow_schema(table, crs)).combine_chunks()
 
 
 def write_table(path: Path, table: Table, rows: pd.DataFrame | pa.Table, crs: str | None = None) -> int:
     """Write *rows* to *path* as the declared table; returns the number of rows. Same rows give the same bytes."""
     made = rows if isinstance(rows, pa.Table) else to_arrow(table, rows, crs)
-    pq.write_table(
-        made,
-        path,
-        compression="zstd",
-        compression_level=3,
-        row_group_size=ROW_GROUP_ROWS,
-        write_page_checksum=True,
-    )
+    pq.write_table(made, path, row_group_size=ROW_GROUP_ROWS, **AS_FILE)
     return int(made.num_rows)
 
 
 def read_table(paths: Sequence[Path], table: Table, columns: Sequence[str] | None = None) -> pd.DataFrame:
     """Read files of one declared table into one DataFrame; no file gives an empty one with all columns."""
     names = list(columns or table.column_names)
-    parts = [pq.read_table(path, columns=names, page_checksum_verification=True) for path in paths]
+    parts = [pq.ParquetFile(path, page_checksum_verification=True).read(names) for path in paths]
     if not parts:
         return empty_frame(table)[names]
     whole = pa.concat_tables([part.replace_schema_metadata(None) for part in parts], promote_options="permissive")
@@ -93,7 +111,7 @@ def empty_frame(table: Table) -> pd.DataFrame:
     return pd.DataFrame(arrow_schema(table).empty_table().to_pandas())
 
 
-def _order(table: Table) -> list[str]:
+def order_of(table: Table) -> list[str]:
     """Return the columns by which rows are sorted: the key, led by the first time column unless the key has one."""
     times = [column.name for column in table.columns if column.type == "time"]
     lead = times[:1] if times and not set(times) & set(table.key) else []

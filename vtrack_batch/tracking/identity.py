@@ -32,6 +32,11 @@ def calibrated(chains: Chains) -> Chains:
     Evidence that past and future share counts once only in the odds that choose links, and every rival counts in full,
     so that those odds are too modest. A straight line on log-odds mends it, fitted to simulated traffic.
     """
-    p = np.clip(chains.probability, 1e-9, 1 - 1e-9)
-    mended = 1 / (1 + np.exp(-(SLOPE * np.log(p / (1 - p)) + OFFSET)))
+    mended = calibrated_probability(chains.probability)
     return replace(chains, probability=np.where(chains.after >= 0, mended, chains.probability))
+
+
+def calibrated_probability(p: Array | float) -> Array:
+    """Return what the probability of a link means."""
+    p = np.clip(p, 1e-9, 1 - 1e-9)
+    return np.asarray(1 / (1 + np.exp(-(SLOPE * np.log(p / (1 - p)) + OFFSET))))

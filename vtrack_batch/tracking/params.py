@@ -21,12 +21,13 @@ class MotionParams(Params):
 class LinkParams(Params):
     """How sightings become chains."""
 
-    coast_s: float = Field(6.0, ge=0, description="a vehicle may stay unseen for this long")
+    coast_s: float = Field(9.0, ge=0, description="a vehicle may stay unseen for this long")
     coast_frames: int = Field(2, ge=0, description="but always for this many frames")
     gate_sigmas: float = Field(4.0, gt=0, description="partners are sought within this many standard deviations")
-    missed_share: float = Field(0.12, gt=0, lt=1, description="prior share of sightings that the detector misses")
+    missed_share: float = Field(0.15, gt=0, lt=1, description="prior share of sightings that the detector misses")
     break_share: float = Field(0.05, gt=0, lt=1, description="prior share of sightings that begin, or end, a track")
     sure: float = Field(0.9999, gt=0, lt=1, description="a link of this probability is not asked to compete with gaps")
+    self_taught: bool = Field(True, description="where no flow map is given, a sequence's own sure links make one")
     trust: float = Field(0.995, gt=0, lt=1, description="belief in a chain's own motion, at most")
     rounds: int = Field(3, ge=1, description="rounds of linking, each with the velocities of the one before")
     max_end_accel_mps2: float = Field(

@@ -26,8 +26,9 @@ class Sightings:
     """Sightings of one sequence in order of (frame, x, y, id).
 
     ``frame`` (n,) int64 counts all frames of the sequence, with detections or not; ``frame_s`` (f,) are their times in
-    seconds since ``start``; ``first`` (f + 1,) the first sighting of each; ``xy`` (n, 2) metres; ``sigma_m`` (n,) the
-    spread of positions; ``rgb`` (n, 3) or None; ``rows`` ids, sizes and velocities; ``border`` (f, c, 2) footprints.
+    seconds since ``start``, ``interval_s`` the usual time between them; ``first`` (f + 1,) the first sighting of each;
+    ``xy`` (n, 2) metres; ``sigma_m`` (n,) the spread of positions; ``rgb`` (n, 3) or None; ``rows`` ids, sizes and
+    velocities; ``border`` (f, c, 2) footprints.
     """
 
     sequence: str
@@ -35,6 +36,7 @@ class Sightings:
     rows: pd.DataFrame
     frame: Index
     frame_s: Array
+    interval_s: float
     first: Index
     xy: Array
     sigma_m: Array
@@ -48,11 +50,6 @@ class Sightings:
     def t(self) -> Array:
         """Time of every sighting in seconds since ``start``, (n,)."""
         return self.frame_s[self.frame]
-
-    @property
-    def interval_s(self) -> float:
-        """The usual time between frames."""
-        return float(np.median(np.diff(self.frame_s))) if len(self.frame_s) > 1 else 1.0
 
     def ids(self) -> pd.Series[Any]:
         """Detection ids, (n,)."""
@@ -74,8 +71,18 @@ def read_detections(detections: pd.DataFrame) -> pd.DataFrame:
     return checked.assign(t_utc=times.dt.tz_convert("UTC").astype("datetime64[us, UTC]"), sequence=sequence)
 
 
-def sightings_of(rows: pd.DataFrame, sequence: str, views: Views | None, position_sigma_m: float) -> Sightings:
-    """Sort the checked rows of one sequence and place them among its frames."""
+def sightings_of(
+    rows: pd.DataFrame,
+    sequence: str,
+    views: Views | None,
+    position_sigma_m: float,
+    *,
+    interval_s: float | None = None,
+) -> Sightings:
+    """Sort the checked rows of one sequence and place them among its frames.
+
+    *interval_s* is the usual time between frames, where these are only a part of the sequence.
+    """
     rows = rows.sort_values(["t_utc", "x_m", "y_m", "detection_id"], kind="stable", ignore_index=True)
     times = rows["t_utc"].dt.tz_localize(None).to_numpy("datetime64[us]")
     xy = rows[["x_m", "y_m"]].to_numpy(float)
@@ -88,7 +95,7 @@ def sightings_of(rows: pd.DataFrame, sequence: str, views: Views | None, positio
     frame = np.searchsorted(frame_t, times).astype(np.int64)
     refuse_heaps(xy, frame, f"sequence {sequence}")
     registered = np.zeros(len(frame_t)) if views is None else np.nan_to_num(views.position_sigma_m)
-    border = np.broadcast_to(_hull(xy), (len(frame_t), *_hull(xy).shape)) if views is None else views.corners_m
+    border = np.broadcast_to(hull(xy), (len(frame_t), *hull(xy).shape)) if views is None else views.corners_m
     rgb = rows[COLOUR].to_numpy(float) if set(COLOUR) <= set(rows.columns) else None
     return Sightings(
         sequence=sequence,
@@ -96,6 +103,7 @@ def sightings_of(rows: pd.DataFrame, sequence: str, views: Views | None, positio
         rows=rows[[name for name in KEPT if name in rows.columns]],
         frame=frame,
         frame_s=(frame_t - frame_t[:1]) / np.timedelta64(1, "s"),
+        interval_s=usual_interval_s(frame_t) if interval_s is None else interval_s,
         first=np.searchsorted(frame, np.arange(len(frame_t) + 1)).astype(np.int64),
         xy=xy,
         sigma_m=np.hypot(position_sigma_m, registered[frame]),
@@ -136,7 +144,9 @@ def of_frames(s: Sightings, low: int, high: int) -> Sightings:
 def in_succession(s: Sightings, later: Sightings) -> Sightings:
     """Return the sightings of *s* and of frames that come behind its own; footprints have as many corners in both."""
     frame = np.concatenate([s.frame, later.frame + len(s.frame_s)])
-    frame_s = np.concatenate([s.frame_s, later.frame_s + (later.start - s.start).total_seconds()])
+    elapsed_s = later.frame_s + (later.start - s.start).total_seconds()
+    # to the microsecond, as if all times had been counted from the first
+    frame_s = np.concatenate([s.frame_s, np.rint(elapsed_s * 1e6) / 1e6])
     coloured = s.rgb is not None and later.rgb is not None
     return replace(
         s,
@@ -162,16 +172,33 @@ def inside_m(border: Array, xy: Array) -> Array:
     return np.asarray((left * turn).min(axis=1))
 
 
-def _hull(xy: Array) -> Array:
-    """Return the convex hull of points as (c, 2), slightly grown; a box where there is no hull."""
-    low, high = (xy.min(axis=0), xy.max(axis=0)) if len(xy) else (np.zeros(2), np.zeros(2))
-    try:
-        hull = xy[ConvexHull(xy).vertices] if len(xy) >= 3 else None
-    except QhullError:
-        hull = None
-    if hull is None:
+def usual_interval_s(frame_t: NDArray[np.datetime64]) -> float:
+    """Return the median time between frames, 1 s where there is but one."""
+    return float(np.median(np.diff(frame_t) / np.timedelta64(1, "s"))) if len(frame_t) > 1 else 1.0
+
+
+def hull(xy: Array) -> Array:
+    """Return the convex hull of points as (c, 2), slightly grown, its least corner first; a box where there is none."""
+    corners = _corners(xy)
+    if corners is None:
+        low, high = (xy.min(axis=0), xy.max(axis=0)) if len(xy) else (np.zeros(2), np.zeros(2))
         low, high = low - HULL_MARGIN_M, high + HULL_MARGIN_M
         return np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]])
-    centre = hull.mean(axis=0)
-    outward = hull - centre
-    return np.asarray(hull + HULL_MARGIN_M * outward / np.maximum(np.hypot(*outward.T), 1e-9)[:, None])
+    corners = np.roll(corners, -int(np.lexsort(corners.T)[0]), axis=0)
+    outward = corners - corners.mean(axis=0)
+    return np.asarray(corners + HULL_MARGIN_M * outward / np.maximum(np.hypot(*outward.T), 1e-9)[:, None])
+
+
+def outermost(xy: Array) -> Array:
+    """Return those of the points (n, 2) that make the hull, of these and of any further ones."""
+    corners = _corners(xy)
+    if corners is None and len(xy):  # few, or on one line: its ends are outermost on one axis at least
+        return xy[np.r_[xy.argmin(axis=0), xy.argmax(axis=0)]]
+    return xy[:0] if corners is None else corners
+
+
+def _corners(xy: Array) -> Array | None:
+    try:
+        return np.asarray(xy[ConvexHull(xy).vertices]) if len(xy) >= 3 else None
+    except QhullError:
+        return None

@@ -14,12 +14,13 @@ from vtrack_batch.model.views import Views
 from vtrack_batch.tracking import tables
 from vtrack_batch.tracking.ends import cut_impossible_ends
 from vtrack_batch.tracking.identity import calibrated, identity_probability
-from vtrack_batch.tracking.link import Chains, link
+from vtrack_batch.tracking.link import Chains
 from vtrack_batch.tracking.pairs import chain_pairs
 from vtrack_batch.tracking.params import TrackingParams
 from vtrack_batch.tracking.paths import paths_of
 from vtrack_batch.tracking.regions import chain_regions
 from vtrack_batch.tracking.sightings import Sightings, read_detections, sightings_of
+from vtrack_batch.tracking.teach import Taught
 from vtrack_batch.tracking.windows import linked_in_windows
 
 CHAINED = ("default", "untrained")
@@ -54,9 +55,7 @@ def track(
     Columns that are missing, values that are missing or infinite, and repeated ids raise ``UnusableData``.
     """
     matching, params = matching or MatchingParams(), params or TrackingParams()
-    chosen = matching.method if method == "default" else method
-    if chosen not in (*CHAINED, REGIONS, *PAIRWISE):
-        raise ConfigError(f"tracking method {method!r} is unknown")
+    chosen = chosen_method(method, matching)
     checked = read_detections(detections)
     found = [
         _track_sequence(
@@ -72,6 +71,14 @@ def track(
     return joined(found)
 
 
+def chosen_method(method: str, matching: MatchingParams) -> str:
+    """Return the method that *method* stands for; raises ``ConfigError`` where there is none of that name."""
+    chosen = matching.method if method == "default" else method
+    if chosen not in (*CHAINED, REGIONS, *PAIRWISE):
+        raise ConfigError(f"tracking method {method!r} is unknown")
+    return chosen
+
+
 def _track_sequence(
     s: Sightings, method: str, flow_map: FlowMap | None, matching: MatchingParams, params: TrackingParams
 ) -> Tracks:
@@ -83,8 +90,14 @@ def track_runs(
 ) -> Iterator[Tracks]:
     """Yield the tracks of one sequence that comes in *runs* of successive frames, as they end."""
 
+    taught = Taught(matching.model_copy(update={"method": method}), params, flow_map)
+
     def linked(s: Sightings) -> Chains:
-        return chains_of(s, method, flow_map, matching, params)
+        if method in CHAINED:
+            return cut_impossible_ends(s, calibrated(taught(s)), max_accel_mps2=params.link.max_end_accel_mps2)
+        if method == REGIONS:
+            return chain_regions(s, matching.regions, params)
+        return chain_pairs(s, method, matching, flow_map)
 
     # regions are followed by what was, however long ago: cheap, so a window may hold any number of them
     windows = params.windows.model_copy(update={"window_sightings": 10**12}) if method == REGIONS else params.windows
@@ -99,18 +112,6 @@ def track_runs(
             found,
             tables.matches(s, chains, method),
         )
-
-
-def chains_of(
-    s: Sightings, method: str, flow_map: FlowMap | None, matching: MatchingParams, params: TrackingParams
-) -> Chains:
-    """Return the chains that *method* makes of the sightings of a sequence, or of a window of it."""
-    if method in CHAINED:
-        chains = calibrated(link(s, matching.model_copy(update={"method": method}), params, flow_map))
-        return cut_impossible_ends(s, chains, max_accel_mps2=params.link.max_end_accel_mps2)
-    if method == REGIONS:
-        return chain_regions(s, matching.regions, params)
-    return chain_pairs(s, method, matching, flow_map)
 
 
 def joined(parts: list[Tracks]) -> Tracks:

@@ -62,7 +62,7 @@ def linked_in_windows(
     """
     waiting = iter(runs)
     held, core, ended = Held.of(next(waiting)), 0, False
-    context = max(params.context_frames, int(np.ceil(2 * coast_s / max(held.s.interval_s, 1e-6))))
+    context = max(params.context_frames, int(np.ceil(2 * coast_s / max(held.s.interval_s, 1e-6) - 1e-6)))
     while True:
         end = core_end(held.s, core, context, params, ended=ended)
         while end is None or (not ended and end + context > len(held.s.frame_s)):
