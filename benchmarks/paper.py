@@ -22,17 +22,10 @@ from benchmarks.page import FIGURES, PAPER, markdown_table, stamp, write_section
 from benchmarks.paper_methods import METHODS, MISSED, PAPER_S, WAYS, as_paper, rates, text
 from benchmarks.paper_real import PLACES, real_on, table_2
 from benchmarks.traffic import BUILT_IN, labelled_pairs
-from benchmarks.work import (
-    INTERVALS_S,
-    available,
-    mutual_rates,
-    pairs_as_sightings,
-    pinned_pairs,
-)
-from vtrack_batch.matching.candidates import candidates
-from vtrack_batch.matching.colour import colour_labels
+from benchmarks.work import INTERVALS_S, available, pairs_as_sightings, pinned_pairs
+from vtrack_batch.matching.calibration import LabelledPair, sweep_rates
 from vtrack_batch.matching.params import MatchingParams
-from vtrack_batch.matching.relaxation import paper_grid, sweep
+from vtrack_batch.matching.relaxation import paper_grid
 
 PINNED = "pinned road"
 # what lies beside the project is measured where it is there
@@ -95,17 +88,14 @@ def simulated_on(kind: str, elapsed_s: float, missed: float, seeds: range) -> pd
 def sweep_on(kind: str, missed: float, seeds: range) -> np.ndarray:
     """Return the pooled rate of (d), mutual, at 1.5 s: a row for each pair, a column for each setting of the paper."""
     rows = pairs_as_sightings(labelled_pairs(kind, seeds, PAPER_S, missed, each=EACH))
-    params = MatchingParams()
-    given = {"tolerance": params.paper.consistency_m(PAPER_S), "params": params.paper, "settings": paper_grid()}
-    found = []
+    pairs = []
     for _, pair in rows.groupby("sequence"):
-        images = [of for _, of in pair.groupby("frame")]
-        xy = [of[["x_m", "y_m"]].to_numpy() for of in images]
-        edges = candidates(*xy, params.reach_m(PAPER_S, printed=True))
-        start = colour_labels(edges, *(of[COLOURS].to_numpy(float) for of in images))
-        best = sweep(edges, start, *xy, **given)
-        found.append(mutual_rates(*(of["truth"].to_numpy() for of in images), *best))
-    return np.array(found)
+        images = [
+            of[["x_m", "y_m", *COLOURS]].assign(detection_id=np.arange(len(of)), vehicle=of["truth"])
+            for _, of in pair.groupby("frame")
+        ]
+        pairs.append(LabelledPair(images[0], images[1], PAPER_S))
+    return sweep_rates(pairs, paper_grid(), MatchingParams())
 
 
 def table_1(simulated: pd.DataFrame) -> str:

@@ -129,18 +129,6 @@ def label_rates(truth_1: Index, truth_2: Index, i: Index, k: Index) -> tuple[flo
     return right_1 / len(truth_1), right_2 / len(truth_2), (right_1 + right_2) / (len(truth_1) + len(truth_2))
 
 
-def mutual_rates(
-    truth_1: Index, truth_2: Index, best_1: NDArray[np.int32], best_2: NDArray[np.int32]
-) -> NDArray[np.float64]:
-    """Return the pooled label rate of mutual choice for each row of best partners (s, n), (s, m), -1 = none."""
-    right = np.zeros(len(best_1), np.int64)
-    for own, other, truths in ((best_1, best_2, (truth_1, truth_2)), (best_2, best_1, (truth_2, truth_1))):
-        back = np.take_along_axis(other, np.maximum(own, 0), axis=1)
-        chosen = np.where((own >= 0) & (back == np.arange(own.shape[1])), own, -1)
-        right += (chosen == _partners(*truths)).sum(axis=1)
-    return right / (len(truth_1) + len(truth_2))
-
-
 def _partners(truth: Index, other: Index) -> Index:
     """Return for each vehicle its row in the other image, -1 = it is not there."""
     row = pd.Series(np.arange(len(other)), index=other)

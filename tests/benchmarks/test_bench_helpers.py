@@ -12,7 +12,7 @@ import pytest
 from benchmarks.noise import Noise, seen
 from benchmarks.page import markdown_table, write_section
 from benchmarks.tuning import joined, pair_scores
-from benchmarks.work import identity, label_rates, links_of, movement_scores, mutual_rates, step_rates
+from benchmarks.work import identity, label_rates, links_of, movement_scores, step_rates
 
 
 @pytest.fixture(scope="module")
@@ -52,25 +52,6 @@ def test_label_rate_is_that_of_the_scorer(score_pairs, seed):
     images = [pd.DataFrame({"detection_id": d, "truth_vehicle": t}) for d, t in zip(ids, truth, strict=True)]
     matches = pd.DataFrame({"detection_id_from": ids[0][i], "detection_id_to": ids[1][k]})
     assert label_rates(*truth, i, k)[2] == pytest.approx(score_pairs.label_rate(*images, matches))
-
-
-def test_mutual_choice_counts_only_where_both_choose_each_other():
-    truth = np.array([7, 8, 6]), np.array([6, 9, 8, 5])
-    # row by row: all right; 8 chosen by one side only; nobody chooses anybody; two of image 1 want the same
-    best_1 = np.array([[-1, 2, 0], [-1, 2, 0], [-1, -1, -1], [2, 2, -1]])
-    best_2 = np.array([[2, -1, 1, -1], [2, -1, -1, -1], [-1, -1, -1, -1], [-1, -1, 0, -1]])
-    right = np.array([7, 5, 1 + 2, 0 + 2])
-    assert mutual_rates(*truth, best_1, best_2) == pytest.approx(right / 7)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_a_sweep_of_choices_is_counted_as_links_are(seed):
-    rng = np.random.default_rng(seed)
-    truth = [rng.permutation(12)[:size] for size in (9, 7)]
-    best_1, best_2 = rng.integers(-1, 7, (5, 9)), rng.integers(-1, 9, (5, 7))
-    for rate, one, two in zip(mutual_rates(*truth, best_1, best_2), best_1, best_2, strict=True):
-        i = np.array([n for n, k in enumerate(one) if k >= 0 and two[k] == n], int)
-        assert rate == pytest.approx(label_rates(*truth, i, one[i])[2])
 
 
 def test_noise_is_what_it_says_and_order_tells_nothing():

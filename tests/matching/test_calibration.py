@@ -10,6 +10,7 @@ from vtrack_batch.matching.calibration import (
     chosen_setting,
     logarithmic_grid,
     method_rates,
+    mutual_rates,
     sweep_rates,
 )
 from vtrack_batch.matching.params import MatchingParams
@@ -63,6 +64,17 @@ def test_all_right_is_one_and_a_lone_no_match_is_right() -> None:
     assert method_rates([LabelledPair(alone, far, 1.0)], ["nearest"], MatchingParams()).iloc[0, 0] == 1.0
     same = LabelledPair(alone, alone.assign(x_m=900.0), 1.0)  # out of reach, so missed from both sides
     assert sweep_rates([same], PRINTED, MatchingParams()).tolist() == [[0.0]]
+
+
+def test_mutual_choice_counts_only_where_both_choose_each_other() -> None:
+    # vehicles 7, 8, 6 and 6, 9, 8, 5
+    true_i, true_k = np.array([-1, 2, 0]), np.array([2, -1, 1, -1])
+    # row by row: all right; 8 chosen by one side only; nobody chooses anybody; two of image 1 want the same
+    best_i = np.array([[-1, 2, 0], [-1, 2, 0], [-1, -1, -1], [2, 2, -1]], np.int32)
+    best_k = np.array([[2, -1, 1, -1], [2, -1, -1, -1], [-1, -1, -1, -1], [-1, -1, 0, -1]], np.int32)
+    right = np.array([7, 5, 1 + 2, 0 + 2])
+    assert mutual_rates(best_i, best_k, true_i, true_k) == pytest.approx(right / 7)
+    assert mutual_rates(best_k, best_i, true_k, true_i) == pytest.approx(right / 7)  # images swapped
 
 
 def test_one_vehicle_twice_in_an_image_is_refused() -> None:
