@@ -41,15 +41,20 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as place:
         for seed in range(FIRST_SEED, FIRST_SEED + (1 if quick else 5)):
             folder = Path(place) / str(seed)
-            archive(folder, seed)
+            crossing(folder, seed)
+            run_with_injections(folder)
             rows.append(compared(folder).assign(seed=seed))
     write_section(ACCURACY, "completeness", page(pd.concat(rows), f"{COMMAND} QUICK=1" if quick else COMMAND))
 
 
-def archive(folder: Path, seed: int) -> None:
-    """Render a crossing of ten minutes and run it with injections."""
+def crossing(folder: Path, seed: int) -> None:
+    """Render a crossing of ten minutes."""
     camera = CameraParams(width_px=1280, height_px=800)
     simulate(Scenario(seed=seed, duration_s=600.0, warm_up_s=420.0, camera=camera), folder)
+
+
+def run_with_injections(folder: Path) -> None:
+    """Run the archive with 2000 injections a unit."""
     survey = vt.load_survey(folder / "survey.yaml")
     painted = survey.model_copy(update={"completeness": CompletenessParams(injections_per_unit=2000)})
     vt.run_survey(painted.based_at(folder), workers=1)

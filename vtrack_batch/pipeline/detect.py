@@ -45,6 +45,7 @@ def detect_unit(piece: Piece, context: Context) -> None:
     unit = piece.unit
     assert unit is not None
     log = FrameLog(unit)
+    log.refuse_repeats()
     reader = Reader(context.archive, context.survey.archive.max_pixels, log, context.take)
     about: dict[str, Any] = {}
     with context.new_part(piece, about) as folder:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,13 @@ class FrameLog:
         """Note that no frame of the unit can be used, for want of a way to the ground."""
         for ref in self.unit.frames:
             self.refuse(ref, problem)
+
+    def refuse_repeats(self) -> None:
+        """Note that a frame with the bytes of the one before it cannot be used: a frozen camera sees no traffic."""
+        in_time = sorted((*self.unit.frames, *self.unit.halo), key=lambda ref: (ref.t_utc, ref.path))
+        for before, ref in pairwise(in_time):
+            if ref.sha256 == before.sha256:
+                self.refuse(ref, UnusableFrame("frozen", f"the same bytes as the frame before it, {before.path}"))
 
     def refuse(self, ref: FrameRef, problem: UnusableFrame) -> None:
         """Note that a frame cannot be used; for frames of the halo this is their own unit's concern to report."""
