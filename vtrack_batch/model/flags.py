@@ -11,7 +11,6 @@ class DetectionFlag(IntFlag):
 
     TOUCHES_BORDER = 1
     NEAR_UNSEEN = 2
-    LARGE = 4
     SHADOWED = 8
     OUTSIDE_ROAD = 16
     HELD = 32
@@ -38,7 +37,6 @@ class FlagText:
 _MEANING: dict[str, str] = {
     "TOUCHES_BORDER": "the box reaches over the frame's border: size and centre are doubtful",
     "NEAR_UNSEEN": "beside ground that no background sample saw",
-    "LARGE": "the foreground it was cut from is larger than one vehicle",
     "SHADOWED": "in cloud or building shadow: colour is doubtful",
     "OUTSIDE_ROAD": "outside the road learned from moving vehicles",
     "HELD": "the vehicle stands: size, axis or place of this sighting was off, and is that of the others",
