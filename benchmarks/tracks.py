@@ -57,12 +57,13 @@ class Extent:
     tuning_share: float
     limit_s: float
     ours: tuple[str, ...] = ()
+    peers_on: tuple[str, ...] = tuple(CELLS)
 
 
 FULL = Extent(own=10, map_s=1e9, draws=8, tuning_share=1.0, limit_s=60)
 QUICK = Extent(
     own=0, map_s=1e9, draws=3, tuning_share=0.4, limit_s=2,
-    ours=("default, flow map", "default", "untrained", "paper's (d) proposed"),
+    ours=("default, flow map", "default", "untrained", "paper's (d) proposed"), peers_on=("crossing", "congested"),
 )  # fmt: skip
 
 
@@ -76,7 +77,7 @@ def main() -> None:
         for scene, interval_s in dict.fromkeys((scene, s) for scene, cells in CELLS.items() for s, _ in cells)
         for number in chosen
     ]
-    jobs += [(peer_on, (scene, number, extent)) for number in range(len(PEERS)) for scene in CELLS]
+    jobs += [(peer_on, (scene, number, extent)) for number in range(len(PEERS)) for scene in extent.peers_on]
     # no archive, no flow map
     numbers = [n for n in chosen if not OURS[n].mapped] + [len(OURS) + n for n in range(len(PEERS))]
     real = [(real_on, (place, number, extent)) for place, number in product(REAL, numbers)]
@@ -187,8 +188,8 @@ def report(simulated: pd.DataFrame, filmed: pd.DataFrame, notes: list[tuple], fe
 
 
 QUICK_TEXT = """\
-**QUICK: the pinned sequences only, four of our methods, peers tuned on 36 s (grid 18 s), with settings
-that need at most two seconds for it.** """
+**QUICK: the pinned sequences only, four of our methods, peers tuned on 36 s, with settings that need at
+most two seconds for it, and not run on the grid, where some need many minutes.** """
 TEXT = """\
 `vt.track` and the peers on whole sequences. IDF1: vehicles against tracks, one to one. End to end: share of vehicles
 (of four sightings and more) whose every sighting is on one track that holds nothing else. Both are counted as
@@ -255,7 +256,7 @@ def speed_table(simulated: pd.DataFrame) -> str:
     seconds = at.groupby(["method", "scene"], sort=False)["seconds"].mean().unstack("scene")[list(CELLS)]
     base = seconds.loc["default"]
     rows = [
-        [str(method), *(f"{s:.2f} s ({base[scene] / s:.1f})" for scene, s in of.items())]
+        [str(method), *("–" if pd.isna(s) else f"{s:.2f} s ({base[scene] / s:.1f})" for scene, s in of.items())]
         for method, of in seconds.iterrows()
     ]
     return markdown_table(["method", *CELLS], rows)
