@@ -6,8 +6,6 @@ with fewer vehicles are left out.
 
 from __future__ import annotations
 
-import os
-import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +13,7 @@ import pandas as pd
 import shapely
 
 import vtrack_batch as vt
+from benchmarks.crossings import called, crossings
 from benchmarks.page import ACCURACY, markdown_table, stamp, write_section
 from vtrack_batch.completeness.params import CompletenessParams
 from vtrack_batch.evaluation.frames import joined_frames
@@ -22,9 +21,6 @@ from vtrack_batch.evaluation.load import load_result, load_truth
 from vtrack_batch.evaluation.pairing import pair
 from vtrack_batch.evaluation.params import EvaluationParams
 from vtrack_batch.evaluation.scene import make_scene, sightings
-from vtrack_batch.simulation.params import Scenario
-from vtrack_batch.simulation.view_params import CameraParams
-from vtrack_batch.simulation.write import simulate
 from vtrack_batch.traffic.params import TrafficParams
 from vtrack_batch.traffic.places import places_of
 from vtrack_batch.traffic.zones import parse_zones
@@ -36,21 +32,11 @@ VERSIONS = ("vtrack-batch", "numpy", "opencv-python-headless")
 
 def main() -> None:
     """Make the archives, run them, write the section."""
-    quick = bool(os.environ.get("QUICK"))
     rows = []
-    with tempfile.TemporaryDirectory() as place:
-        for seed in range(FIRST_SEED, FIRST_SEED + (1 if quick else 5)):
-            folder = Path(place) / str(seed)
-            crossing(folder, seed)
-            run_with_injections(folder)
-            rows.append(compared(folder).assign(seed=seed))
-    write_section(ACCURACY, "completeness", page(pd.concat(rows), f"{COMMAND} QUICK=1" if quick else COMMAND))
-
-
-def crossing(folder: Path, seed: int) -> None:
-    """Render a crossing of ten minutes."""
-    camera = CameraParams(width_px=1280, height_px=800)
-    simulate(Scenario(seed=seed, duration_s=600.0, warm_up_s=420.0, camera=camera), folder)
+    for seed, folder in crossings(FIRST_SEED):
+        run_with_injections(folder)
+        rows.append(compared(folder).assign(seed=seed))
+    write_section(ACCURACY, "completeness", page(pd.concat(rows), called(COMMAND)))
 
 
 def run_with_injections(folder: Path) -> None:

@@ -7,8 +7,6 @@ its boxes are within 15 % of the median of the same track's boxes outside the st
 
 from __future__ import annotations
 
-import os
-import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +14,7 @@ import pandas as pd
 from scipy.spatial import KDTree
 
 import vtrack_batch as vt
-from benchmarks.completeness import crossing
+from benchmarks.crossings import called, crossings
 from benchmarks.page import ACCURACY, markdown_table, stamp, write_section
 from vtrack_batch.revision.params import RevisionParams
 
@@ -28,15 +26,11 @@ COMMAND = "python -m benchmarks.stands"
 
 def main() -> None:
     """Make the archives, run them both ways, write the section."""
-    quick = bool(os.environ.get("QUICK"))
     rows = []
-    with tempfile.TemporaryDirectory() as place:
-        for seed in range(FIRST_SEED, FIRST_SEED + (1 if quick else 5)):
-            folder = Path(place) / str(seed)
-            crossing(folder, seed)
-            for revised in (False, True):
-                rows.append(judged(folder, revised=revised).assign(seed=seed, revised=revised))
-    write_section(ACCURACY, "stands", page(pd.concat(rows), f"QUICK=1 {COMMAND}" if quick else COMMAND))
+    for seed, folder in crossings(FIRST_SEED):
+        for revised in (False, True):
+            rows.append(judged(folder, revised=revised).assign(seed=seed, revised=revised))
+    write_section(ACCURACY, "stands", page(pd.concat(rows), called(COMMAND)))
 
 
 def judged(folder: Path, *, revised: bool) -> pd.DataFrame:
