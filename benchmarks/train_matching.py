@@ -1,93 +1,53 @@
 """Train the matcher's learned score on simulated traffic, and say how good it is on worlds left out.
 
 ``make train-matching`` runs it: traffic of many layouts and noise levels by Eclipse SUMO (extra ``sim``), trees by
-LightGBM (extra ``train``), the model as text into ``vtrack_batch/matching/models/default.json``. Same seeds, same
-versions: same file. ``--seeds 1``, eight worlds, took ten minutes on a busy core.
-
-Rounds feed rounds out of fold: what round two hears of round one was predicted by trees that had not seen that world.
+``vtrack_batch.matching.training`` (extra ``train``), the model as text into ``vtrack_batch/matching/models``. Same
+seeds, same versions: same file. ``--seeds 1``, eight worlds, took ten minutes on a busy core.
 """
 
 from __future__ import annotations
 
 import argparse
-import dataclasses
-import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import lightgbm
 import numpy as np
 import pandas as pd
 from scipy.spatial import KDTree
 
 from benchmarks.noise import Noise, seen
 from benchmarks.training_traffic import KINDS, world
-from vtrack_batch.matching.candidates import Edges, candidates
+from vtrack_batch.matching.calibration import LabelledPair
 from vtrack_batch.matching.decision import most_right, one_to_one
-from vtrack_batch.matching.features import (
-    BASE,
-    HEARD,
-    OWN,
-    Surroundings,
-    base_features,
-    heard_features,
-    own_features,
-    shares,
-)
+from vtrack_batch.matching.features import BASE
 from vtrack_batch.matching.flow import FlowMap
-from vtrack_batch.matching.match import untrained_labels
 from vtrack_batch.matching.params import MatchingParams
 from vtrack_batch.matching.relaxation import Labels
-from vtrack_batch.matching.score import FORMAT, KEEP_LOG_ODDS, labels_of
-from vtrack_batch.matching.vehicles import Vehicles
+from vtrack_batch.matching.score import labels_of
+from vtrack_batch.matching.training import Lesson, train
 
 MODEL = Path(__file__).resolve().parents[1] / "vtrack_batch" / "matching" / "models" / "default.json"
 ARCHIVE_S, LONG_S = 320.0, 520.0
-PAIRS, MOST_VEHICLES, FOLDS = 8, 90, 3
+PAIRS, MOST_VEHICLES = 8, 90
 WITHOUT_MAP, WITHOUT_COLOUR = (1, 4, 7), (5,)  # these of the eight pairs
-TREES = {
-    "objective": "binary", "learning_rate": 0.06, "num_leaves": 24, "min_data_in_leaf": 60, "lambda_l2": 5.0,
-    "feature_fraction": 0.6, "bagging_fraction": 0.7, "bagging_freq": 1, "max_bin": 127, "seed": 3, "verbose": -1,
-    "num_threads": 1, "deterministic": True, "force_row_wise": True,
-}  # fmt: skip
-ROUNDS = 150
 
 
-@dataclass
-class Pair:
-    """One pair of images with its possible links: columns of round one, truth, and what hearing neighbours needs."""
+@dataclass(frozen=True)
+class Example:
+    """One lesson and where it comes from."""
 
-    world: str
+    pair: LabelledPair
+    lesson: Lesson
     noise: Noise
-    elapsed_s: float
     with_map: bool
-    edges: Edges
-    xy: tuple[np.ndarray, np.ndarray]
-    vehicle: tuple[np.ndarray, np.ndarray]
-    base: np.ndarray
-    heard: np.ndarray
-
-    @property
-    def true(self) -> np.ndarray:
-        """Which edges are one vehicle, (e,) bool."""
-        first = self.vehicle[0][self.edges.i]
-        return (first == self.vehicle[1][self.edges.k]) & (first >= 0)
-
-    def heard_again(self, p: np.ndarray) -> np.ndarray:
-        """Return the columns of a later round."""
-        around = Surroundings.of(*self.xy)
-        heard = heard_features(self.edges, p, around, *self.xy, elapsed_s=self.elapsed_s)
-        return np.column_stack([self.base, heard, own_features(self.edges, p)])
 
     def rate(self, picked: np.ndarray) -> tuple[int, int]:
         """Return how many labels of both images are right, no match counted, and how many there are."""
-        a, b = self.vehicle
-        with_partner = [np.isin(a, b[b >= 0]), np.isin(b, a[a >= 0])]
-        without = [np.ones(len(a), bool), np.ones(len(b), bool)]
-        without[0][self.edges.i[picked]] = without[1][self.edges.k[picked]] = False
-        none_right = sum(int((w & ~has).sum()) for w, has in zip(without, with_partner, strict=True))
-        return 2 * int((picked & self.true).sum()) + none_right, len(a) + len(b)
+        *_, true_k, true_i = self.pair.read()
+        found_k, found_i = np.full(len(true_k), -1), np.full(len(true_i), -1)
+        i, k = self.lesson.edges.i[picked], self.lesson.edges.k[picked]
+        found_k[i], found_i[k] = k, i
+        return int((found_k == true_k).sum() + (found_i == true_i).sum()), len(true_k) + len(true_i)
 
 
 def main() -> None:
@@ -96,33 +56,18 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=6, help="worlds of every kind of layout")
     parser.add_argument("--out", type=Path, default=MODEL)
     args = parser.parse_args()
-    pairs = [
-        pair
-        for seed in range(1, args.seeds + 1)
-        for kind in dict.fromkeys(KINDS)
-        for pair in pairs_of_world(kind, seed)
-    ]
-    names = sorted({pair.world for pair in pairs})
-    fold = dict(zip(names, np.random.default_rng(1).permutation(len(names)) % FOLDS, strict=True))
-    of_edge = np.repeat([fold[pair.world] for pair in pairs], [len(pair.edges) for pair in pairs])
-    cuts = np.cumsum([len(pair.edges) for pair in pairs])[:-1]
-    true = np.concatenate([pair.true for pair in pairs]).astype(float)
-    print(f"{len(names)} worlds, {len(pairs)} pairs, {len(true)} edges, {int(true.sum())} of them true", flush=True)
-    x = np.vstack([np.column_stack([pair.base, pair.heard]) for pair in pairs])
-    unseen = np.zeros(len(true))
-    for k in range(FOLDS):
-        unseen[of_edge == k] = trees(x[of_edge != k], true[of_edge != k]).predict(x[of_edge == k])
-    again = np.vstack([pair.heard_again(p) for pair, p in zip(pairs, np.split(unseen, cuts), strict=True)])
-    left_out = of_edge == 0
-    second = trees(again[~left_out], true[~left_out])
-    rounds = [np.split(p, cuts) for p in (unseen, second.predict(again))]
-    report([(pair, *both) for pair, *both in zip(pairs, *rounds, strict=True) if fold[pair.world] == 0])
-    gain = pd.Series(second.feature_importance("gain"), [*BASE, *HEARD, *OWN])
-    print((100 * gain / gain.sum()).sort_values(ascending=False).head(12).round(1).to_string())
-    args.out.write_text(as_text([trees(x, true), trees(again, true)]), encoding="utf-8")
+    seeds = range(1, args.seeds + 1)
+    examples = [found for seed in seeds for kind in dict.fromkeys(KINDS) for found in examples_of_world(kind, seed)]
+    lessons = [found.lesson for found in examples]
+    true = np.concatenate([lesson.true for lesson in lessons])
+    worlds = len({lesson.group for lesson in lessons})
+    print(f"{worlds} worlds, {len(lessons)} pairs, {len(true)} edges, {true.sum()} of them true", flush=True)
+    trained = train(lessons)
+    report([(found, *p) for found, p in zip(examples, trained.unseen, strict=True)])
+    args.out.write_text(trained.text, encoding="utf-8")
 
 
-def pairs_of_world(kind: str, seed: int) -> list[Pair]:
+def examples_of_world(kind: str, seed: int) -> list[Example]:
     """Simulate a world and take pairs of images at three intervals, each with noise and a flow map of its own."""
     rng = np.random.default_rng([seed, KINDS.index(kind), 7])
     truth = world(kind, seed, seconds=LONG_S)
@@ -138,9 +83,10 @@ def pairs_of_world(kind: str, seed: int) -> list[Pair]:
         for n, t_s in enumerate(rng.choice(times, PAIRS, replace=False)):
             images = [seen(truth[np.isclose(truth["t_s"], t)], noise, rng) for t in (t_s, t_s + elapsed_s)]
             images = [image.assign(detection_id=np.arange(len(image))) for image in images]
-            pair = pair_of(images, elapsed_s, None if n in WITHOUT_MAP else flow, n not in WITHOUT_COLOUR)
-            if pair is not None:
-                found.append(dataclasses.replace(pair, world=f"{kind}-{seed}", noise=noise))
+            pair = pair_of(images, elapsed_s, n not in WITHOUT_COLOUR)
+            learned = None if n in WITHOUT_MAP else flow
+            lesson = Lesson.of(pair, f"{kind}-{seed}", learned, MatchingParams())
+            found.append(Example(pair, lesson, noise, learned is not None))
     print(f"{kind}-{seed}: {len(found)} pairs", flush=True)
     return found
 
@@ -182,69 +128,54 @@ def flow_from_truth(truth: pd.DataFrame, elapsed_s: float, noise: Noise, rng: np
     return FlowMap(np.vstack(xy), np.vstack(velocity))
 
 
-def pair_of(images: list[pd.DataFrame], elapsed_s: float, flow: FlowMap | None, coloured: bool) -> Pair | None:
-    """Return a pair with its edges and their columns; of crowded images only a part."""
-    params = MatchingParams()
+def pair_of(images: list[pd.DataFrame], elapsed_s: float, coloured: bool) -> LabelledPair:
+    """Return two images as a labelled pair; of crowded ones only a part."""
     if len(images[0]) > MOST_VEHICLES:
         middle = images[0][["x_m", "y_m"]].iloc[0].to_numpy()
         away = [np.abs(image[["x_m", "y_m"]].to_numpy() - middle).max(axis=1) for image in images]
         reach = np.sort(away[0])[MOST_VEHICLES - 1]
         images = [image[d <= reach] for image, d in zip(images, away, strict=True)]
-    a, b = (Vehicles.of(image if coloured else image.drop(columns="red"), "image") for image in images)
-    edges = candidates(a.xy, b.xy, params.reach_m(elapsed_s))
-    if flow is not None:
-        edges = edges.select(flow.possible(a.xy[edges.i], b.xy[edges.k], elapsed_s))
-    evidence = untrained_labels(edges, a, b, elapsed_s, params, flow)[1]
-    keep = np.flatnonzero(evidence.log_odds > KEEP_LOG_ODDS)
-    if not len(keep):
-        return None
-    edges, evidence = edges.select(keep), evidence.select(keep)
-    around = Surroundings.of(a.xy, b.xy)
-    heard = heard_features(edges, shares(edges, evidence.log_odds), around, a.xy, b.xy, elapsed_s=elapsed_s)
-    base = base_features(edges, evidence, around, a.xy, b.xy, heard=heard, elapsed_s=elapsed_s, flow_map=flow)
-    vehicle = [
-        image.set_index("detection_id")["vehicle"].loc[side.ids.astype(int)].to_numpy()
-        for image, side in zip(images, (a, b), strict=True)
-    ]
-    with_map = flow is not None
-    return Pair("", Noise(), elapsed_s, with_map, edges, (a.xy, b.xy), (vehicle[0], vehicle[1]), base, heard)
+    known = [image.assign(vehicle=image["vehicle"].where(image["vehicle"] >= 0).astype("Int64")) for image in images]
+    earlier, later = (image if coloured else image.drop(columns="red") for image in known)
+    return LabelledPair(earlier, later, elapsed_s)
 
 
-def trees(x: np.ndarray, true: np.ndarray) -> lightgbm.Booster:
-    """Fit one round."""
-    return lightgbm.train(dict(TREES), lightgbm.Dataset(x, true), ROUNDS)
-
-
-def report(judged: list[tuple[Pair, np.ndarray, np.ndarray]]) -> None:
+def report(judged: list[tuple[Example, np.ndarray, np.ndarray]]) -> None:
     """Print rates and calibration on worlds left out, in all and by interval, noise and what was known.
 
     *judged* holds the probabilities of round one and of round two.
     """
-    groups: dict[str, list[tuple[Pair, np.ndarray, np.ndarray]]] = {}
-    for pair, *p in judged:
+    groups: dict[str, list[tuple[Example, np.ndarray, np.ndarray]]] = {}
+    for example, *p in judged:
         kinds = (
             "all",
-            f"{pair.elapsed_s} s",
-            "map" if pair.with_map else "no map",
-            f"colour noise x{pair.noise.channel / Noise.channel:g}",
+            f"{example.pair.elapsed_s} s",
+            "map" if example.with_map else "no map",
+            f"colour noise x{example.noise.channel / Noise.channel:g}",
         )
-        for name in (*kinds, f"position noise {pair.noise.position_m} m", f"missed {pair.noise.missed:.0%}"):
-            groups.setdefault(name, []).append((pair, p[0], p[1]))
+        for name in (*kinds, f"position noise {example.noise.position_m} m", f"missed {example.noise.missed:.0%}"):
+            groups.setdefault(name, []).append((example, p[0], p[1]))
     print(f"{'worlds left out':<24} {'pairs':>5} {'Bayes %':>8} {'round 1 %':>9} {'round 2 %':>9} {'ECE':>6}")
     for name in sorted(groups):
         rows, size = np.zeros((3, 2)), len(groups[name])
-        for pair, *p in groups[name]:
-            odds = pair.base[:, BASE.index("log_odds")]
-            plainly = np.exp(odds) / (1 + np.exp(odds))
-            plain = Labels(plainly, plainly, np.full(pair.edges.n, 0.5), np.full(pair.edges.m, 0.5))
-            rows[0] += pair.rate(one_to_one(pair.edges, plain))
+        for example, *p in groups[name]:
+            edges = example.lesson.edges
+            rows[0] += example.rate(one_to_one(edges, plain_labels(example.lesson)))
             for row, of_round in zip(rows[1:], p, strict=True):
-                row += pair.rate(most_right(pair.edges, labels_of(pair.edges, of_round)))
+                row += example.rate(most_right(edges, labels_of(edges, of_round)))
         error = calibration_error(
-            np.concatenate([p for *_, p in groups[name]]), np.concatenate([pair.true for pair, *_ in groups[name]])
+            np.concatenate([p for *_, p in groups[name]]),
+            np.concatenate([example.lesson.true for example, *_ in groups[name]]),
         )
         bayes, one, two = 100 * rows[:, 0] / rows[:, 1]
         print(f"{name:<24} {size:>5} {bayes:>8.2f} {one:>9.2f} {two:>9.2f} {error:>6.4f}")
+
+
+def plain_labels(lesson: Lesson) -> Labels:
+    """Return what Bayes' rule alone says, each edge by itself."""
+    odds = np.exp(lesson.base[:, BASE.index("log_odds")])
+    p, edges = odds / (1 + odds), lesson.edges
+    return Labels(p, p, np.full(edges.n, 0.5), np.full(edges.m, 0.5))
 
 
 def calibration_error(p: np.ndarray, true: np.ndarray, *, least: float = 0.02, bins: int = 15) -> float:
@@ -252,35 +183,6 @@ def calibration_error(p: np.ndarray, true: np.ndarray, *, least: float = 0.02, b
     p, true = p[p > least], true[p > least]
     of = np.minimum((p * bins).astype(int), bins - 1)
     return float(sum(abs(p[of == n].sum() - true[of == n].sum()) for n in range(bins)) / max(1, len(p)))
-
-
-def as_text(boosters: list[lightgbm.Booster]) -> str:
-    """Write rounds of trees in the format that ``vtrack_batch.matching.score`` reads."""
-    head = json.dumps({"format": FORMAT, "columns": [*BASE, *HEARD, *OWN]})[:-1]
-    rounds = []
-    for booster in boosters:
-        grown = [_nodes(tree["tree_structure"]) for tree in booster.dump_model()["tree_info"]]
-        rounds.append("[\n" + ",\n".join(json.dumps(tree, separators=(",", ":")) for tree in grown) + "\n]")
-    return head + ',"rounds":[\n' + ",\n".join(rounds) + "\n]}\n"
-
-
-def _nodes(root: dict[str, Any]) -> dict[str, list[Any]]:
-    """Lay a tree out as lists, root first."""
-    tree: dict[str, list[Any]] = {"column": [], "threshold": [], "left": [], "right": []}
-
-    def add(node: dict[str, Any]) -> int:
-        at = len(tree["column"])
-        leaf = "split_feature" not in node
-        tree["column"].append(-1 if leaf else node["split_feature"])
-        tree["threshold"].append(float(f"{node['leaf_value']:.5g}" if leaf else f"{node['threshold']:.7g}"))
-        tree["left"].append(0)
-        tree["right"].append(0)
-        if not leaf:
-            tree["left"][at], tree["right"][at] = add(node["left_child"]), add(node["right_child"])
-        return at
-
-    add(root)
-    return tree
 
 
 if __name__ == "__main__":

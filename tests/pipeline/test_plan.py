@@ -31,7 +31,7 @@ def frames(seconds: list[float], sequence: str = "a/x", date: str = "2026-05-17"
 
 def plan(rows: pd.DataFrame, **sections: dict[str, object]) -> Plan:
     survey = Survey.model_validate({"execution": {"unit_s": 60.0, "halo_s": 10.0}, **sections})
-    return make_plan(rows, survey, zones_text=None)
+    return make_plan(rows, survey, zones_text=None, learned={})
 
 
 def keys(made: Plan) -> dict[str, str]:

@@ -20,6 +20,7 @@ import pytest
 
 import vtrack_batch as vt
 from vtrack_batch.errors import Busy, ConfigError, NoArchive, UnusableData
+from vtrack_batch.matching.score import model_text
 from vtrack_batch.model.tables import TABLES
 from vtrack_batch.pipeline.detect import detect_unit
 from vtrack_batch.pipeline.parts import read
@@ -133,10 +134,24 @@ def test_a_flow_map_is_part_of_what_tracks_are_made_of(archive: Path, golden: Pa
     shutil.copytree(golden / "results", archive / "results", symlinks=True)
     with (archive / "survey.yaml").open("a") as stream:
         stream.write("flow_map: place.flow\n")
-    with pytest.raises(ConfigError, match="no such flow map"):
+    with pytest.raises(ConfigError, match=r"no such file; see `flow_map`"):
         run(archive)
     for speed_mps, work in ((8.0, 1), (9.0, 1), (9.0, 0)):
         vt.FlowMap(np.array([[10.0, -20.0]]), np.array([[speed_mps, 0.0]])).save(archive / "place.flow")
+        assert run(archive).done == {"detect": 0, "track": work, "traffic": work, "picture": work}
+
+
+def test_a_model_of_links_is_part_of_what_tracks_are_made_of(archive: Path, golden: Path) -> None:
+    shutil.copytree(golden / "results", archive / "results", symlinks=True)
+    with (archive / "survey.yaml").open("a") as stream:
+        stream.write("matching: {model: site.json}\n")
+    with pytest.raises(ConfigError, match=r"no such file; see `matching\.model`"):
+        run(archive)
+    (archive / "site.json").write_text("{}")
+    with pytest.raises(UnusableData, match="is no model of links"):
+        run(archive)
+    (archive / "site.json").write_text(model_text(None))
+    for work in (1, 0):
         assert run(archive).done == {"detect": 0, "track": work, "traffic": work, "picture": work}
 
 

@@ -15,6 +15,7 @@ from vtrack_batch.cli import options
 @click.option("--interval-s", type=click.FloatRange(0.05, 60), help="Time between frames; else the archive's own.")
 @click.option("--vehicles", type=click.FloatRange(1, 10000), help="Vehicles a frame; else as the survey's result has.")
 @click.option("--pairs", type=click.IntRange(8, 1000), default=40, show_default=True, help="Pairs of images.")
+@click.option("--train", type=click.Path(path_type=Path), help="Retrain the learned score; file of the new model.")
 @options.as_json
 @options.quiet
 @options.verbose
@@ -24,6 +25,7 @@ def command(
     interval_s: float | None,
     vehicles: float | None,
     pairs: int,
+    train: Path | None,
     as_json: bool,
     quiet: bool,
     verbose: bool,
@@ -32,10 +34,12 @@ def command(
     Example:
       vtrack-batch calibrate survey.yaml
       vtrack-batch calibrate survey.yaml --scenario my-junction.yaml --pairs 100
+      vtrack-batch calibrate survey.yaml --pairs 200 --train site.json
 
     Choose the matcher's parameters on simulated traffic like the survey's: A, B, C of the paper's relaxation are swept,
-    all methods are compared on traffic that was not chosen on, and lines for the survey file are printed. Needs SUMO
-    (extra `sim`).
+    all methods are compared on traffic that was not chosen on, and lines for the survey file are printed. --train
+    corrects the default method's learned score for such traffic too. Needs SUMO (extra `sim`), and to train LightGBM
+    (extra `train`).
     """
     from vtrack_batch.config.load import load_params
     from vtrack_batch.pipeline.calibrate import calibrate
@@ -48,6 +52,7 @@ def command(
         interval_s=interval_s,
         vehicles=vehicles,
         pairs=pairs,
+        train=train,
         tell=options.speaker(quiet),
     )
     options.answer(found.as_dict(), found.text(), as_json=as_json)

@@ -136,6 +136,11 @@ class Survey(Params):
         """Return *path* of the survey file as an absolute path."""
         return (self._base / path).resolve()
 
+    @property
+    def model_path(self) -> str | None:
+        """The file of the model of links as an absolute path, None where none is named."""
+        return None if self.matching.model is None else str(self.resolve(self.matching.model))
+
     def based_at(self, folder: Path) -> Survey:
         """Return the same survey with its relative paths resolved against *folder*."""
         copy = self.model_copy()

@@ -15,7 +15,7 @@ from vtrack_batch.matching.neighbours import Neighbours, labels_from, match_by_n
 from vtrack_batch.matching.params import ColourParams, MatchingParams, Method
 from vtrack_batch.matching.regions import pair_labels
 from vtrack_batch.matching.relaxation import Labels, relax
-from vtrack_batch.matching.score import labels_of, link_probabilities
+from vtrack_batch.matching.score import labels_of, link_probabilities, model_of
 from vtrack_batch.matching.vehicles import Vehicles
 
 SURE = 0.9  # links from which the spread of colours is learned
@@ -67,7 +67,8 @@ def match(
     else:
         labels, evidence = untrained_labels(edges, a, b, elapsed_s, params, flow_map, alone=chosen == "assignment")
     if chosen == "default":
-        p = link_probabilities(edges, evidence, a.xy, b.xy, elapsed_s=elapsed_s, flow_map=flow_map)
+        model = model_of(params.model)
+        p = link_probabilities(edges, evidence, a.xy, b.xy, elapsed_s=elapsed_s, flow_map=flow_map, model=model)
         labels = labels_of(edges, p)
     rule = DECISION.get(chosen, "one_to_one") if params.decision == "method" else params.decision
     picked = getattr(decision, rule)(edges, labels)

@@ -93,6 +93,11 @@ class MatchingParams(Params):
         50.0, gt=0, description="partners are sought within this times the interval along x and y, but see paper"
     )
     reach_min_m: float = Field(2.0, ge=0, description="partners are sought at least this far")
+    model: str | None = Field(
+        None,
+        description="model of links that the default scores with, made by `calibrate --train`; without it the one that "
+        "comes with the program",
+    )
     decision: DecisionRule = Field(
         "method",
         description="how labels become links; 'method' = argmax for a, b; mutual for c, d; most right labels for the "

@@ -14,11 +14,12 @@ import json
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 
-from vtrack_batch.errors import UnusableData
-from vtrack_batch.matching.candidates import Array, Edges
+from vtrack_batch.errors import ConfigError, UnusableData
+from vtrack_batch.matching.candidates import Array, Edges, Index
 from vtrack_batch.matching.features import (
     BASE,
     HEARD,
@@ -63,9 +64,24 @@ class Model:
 
 
 @cache
-def shipped_model(name: str = DEFAULT) -> Model:
-    """Return a model that comes with the package."""
-    return Model.parse((files("vtrack_batch.matching") / "models" / name).read_text(encoding="utf-8"), name)
+def model_of(path: str | None) -> Model:
+    """Return the model in a file, or the one that comes with the package if *path* is None."""
+    return Model.parse(model_text(path), path or DEFAULT)
+
+
+def model_text(path: str | None) -> str:
+    """Return the text of a model's file; raises ``ConfigError`` where it cannot be read."""
+    try:
+        source = files("vtrack_batch.matching") / "models" / DEFAULT if path is None else Path(path)
+        return source.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as reason:
+        why = reason.strerror if isinstance(reason, OSError) else "it is not UTF-8 text"
+        raise ConfigError(f"{path}: the model of links cannot be read ({why}); see matching.model") from None
+
+
+def worth_scoring(evidence: Evidence, share: Array) -> Index:
+    """Return the edges (s,) that Bayes' rule does not rule out, against no match or by their *share* among rivals."""
+    return np.flatnonzero((evidence.log_odds > KEEP_LOG_ODDS) & (share > KEEP_SHARE))
 
 
 def link_probabilities(
@@ -81,13 +97,13 @@ def link_probabilities(
     """Return the calibrated probability (e,) of every edge that both ends are one vehicle; points (n, 2), (m, 2)."""
     p = np.full(len(edges), HOPELESS)
     bayes = shares(edges, evidence.log_odds)
-    keep = np.flatnonzero((evidence.log_odds > KEEP_LOG_ODDS) & (bayes > KEEP_SHARE))
+    keep = worth_scoring(evidence, bayes)
     if len(keep):
         kept, of_kept, found = edges.select(keep), evidence.select(keep), bayes[keep]
         around, xy = Surroundings.of(earlier_xy, later_xy), (earlier_xy, later_xy)
         heard = heard_features(kept, found, around, *xy, elapsed_s=elapsed_s)
         base = base_features(kept, of_kept, around, *xy, heard=heard, elapsed_s=elapsed_s, flow_map=flow_map)
-        rounds = (model or shipped_model()).rounds
+        rounds = (model or model_of(None)).rounds
         found = rounds[0].probability(np.column_stack([base, heard]))
         for trees in rounds[1:]:
             again = np.flatnonzero(found > KEEP_SHARE)

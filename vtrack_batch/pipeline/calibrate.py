@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -21,22 +22,44 @@ from vtrack_batch.matching.calibration import (
     method_rates,
     sweep_rates,
 )
-from vtrack_batch.matching.params import RelaxationParams
+from vtrack_batch.matching.params import MatchingParams, RelaxationParams
 from vtrack_batch.matching.relaxation import paper_grid
+from vtrack_batch.matching.score import model_text
+from vtrack_batch.matching.training import Lesson
+from vtrack_batch.matching.training import train as train_model
 from vtrack_batch.model.tables import TABLES
 from vtrack_batch.pipeline.index import scan_archive
 from vtrack_batch.simulation.params import Scenario
 from vtrack_batch.simulation.write import simulate
+from vtrack_batch.storage.output import make_folder
 from vtrack_batch.storage.parquet import read_table
+from vtrack_batch.tracking.learn import learn_flow
 
 METHODS = ("default", "untrained", "assignment", "regions", "original", "colour", "opposite", "proposed")
-CALIBRATED = "proposed, calibrated"
+CALIBRATED, RETRAINED = "proposed, calibrated", "default, retrained"
 APART_S = 20.0  # pairs this far apart in time are as good as independent
+LESSONS_APART_S = 5.0  # to learn from, nearer ones serve as well
 DRIVES = 4  # of seeds of their own; every other one judges what the others chose
 COLUMNS = ["x_m", "y_m", "red", "green", "blue", "vehicle"]
 ALIKE = 0.15  # a number of vehicles within this share of the survey's is like it
 MOST_SCALE = 8.0
 Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What the detector saw of one simulated drive: a table of sightings, and of every frame who it was."""
+
+    seed: int
+    sightings: pd.DataFrame
+    images: list[pd.DataFrame]
+    interval_s: float
+
+    def pairs(self, apart_s: float) -> list[LabelledPair]:
+        """Return pairs of consecutive frames, *apart_s* from one pair to the next; empty frames make none."""
+        step = max(1, round(apart_s / self.interval_s))
+        both = [(self.images[at], self.images[at + 1]) for at in range(0, len(self.images) - 1, step)]
+        return [LabelledPair(*images, self.interval_s) for images in both if all(len(image) for image in images)]
 
 
 @dataclass(frozen=True)
@@ -51,6 +74,7 @@ class Calibration:
     pairs: int
     chosen: Mapping[str, float]
     rates: pd.DataFrame
+    model: Path | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything for JSON."""
@@ -58,7 +82,7 @@ class Calibration:
             "interval_s": self.interval_s,
             "vehicles_per_frame": round(self.vehicles, 1),
             "pairs": self.pairs,
-            "matching": {"paper": dict(self.chosen)},
+            "matching": {"model": self.best_model, "paper": dict(self.chosen)},
             "label_rates_percent": self.rates.round(2).to_dict("records"),
             "best_method": self.best_method,
         }
@@ -68,11 +92,17 @@ class Calibration:
         """The method with the highest mean rate."""
         return str(self.rates.sort_values("rate", kind="stable")["method"].iloc[-1])
 
+    @property
+    def best_model(self) -> str | None:
+        """The file of the retrained model if the best method scores with it, else None: the one of the program."""
+        return str(self.model) if self.best_method == RETRAINED else None
+
     def text(self) -> str:
         """Return everything for people; the last lines can be copied into a survey file."""
         table = [f"{r.method:<22} {r.rate:6.2f}  [{r.lo:.2f}, {r.hi:.2f}]" for r in self.rates.itertuples()]
         setting = [f"    {name}: {value:g}" for name, value in self.chosen.items()]
         best = self.best_method.split(",")[0]
+        model = [] if self.best_model is None else [f"  model: {self.best_model}"]
         return "\n".join(
             [
                 f"simulated: {self.vehicles:.0f} vehicles a frame, {self.interval_s:g} s between frames; "
@@ -82,6 +112,7 @@ class Calibration:
                 *table,
                 "",
                 "matching:" + ("" if best == "default" else f"\n  method: {best}"),
+                *model,
                 "  paper:",
                 *setting,
             ]
@@ -96,6 +127,7 @@ def calibrate(
     interval_s: float | None = None,
     vehicles: float | None = None,
     pairs: int = 40,
+    train: Path | None = None,
     tell: Tell = lambda message: None,
 ) -> Calibration:
     """Choose A, B, C of the paper's relaxation on simulated traffic like the survey's, and compare all methods there.
@@ -103,45 +135,67 @@ def calibrate(
     *interval_s* and *vehicles* a frame are the survey's own if not given: the median interval of its archive, and the
     mean of its published detections (if there are none, the scenario's demand stays as it is). *scenario* is the place,
     by default the built-in crossing; relative paths in it are taken from *base*. *pairs* are shared out over drives of
-    four seeds; two choose and two judge. Raises ``UnusableData`` where too few vehicles were in view.
+    four seeds; two choose and two judge. With *train* the learned score is also retrained on the drives that choose,
+    and written to that file. Raises ``UnusableData`` where too few vehicles were in view.
     """
     place = scenario or Scenario()
     interval_s = interval_s or _interval_s(survey)
     wanted = vehicles or _vehicles_per_frame(survey)
-    drives = _drives(_like(place, interval_s, pairs), wanted, base, tell)
-    sides: tuple[list[LabelledPair], list[LabelledPair]] = ([], [])
-    for number, drive in enumerate(drives):
-        sides[number % 2].extend(drive)
-    choosing, judging = sides
-    params = survey.matching
-    default = np.array([params.paper.a_delay, params.paper.b_neighbours, params.paper.c_opposite])
-    settings = np.vstack([default, paper_grid(), logarithmic_grid()])
-    settings = settings[settings.sum(axis=1) > 0]
-    tell(f"{len(settings)} settings of A, B, C on {len(choosing)} pairs")
-    row = chosen_setting(sweep_rates(choosing, settings, params), settings, default)
-    names = ("a_delay", "b_neighbours", "c_opposite")
-    chosen = dict(zip(names, (round(float(value), 3) for value in settings[row]), strict=True))
-    tell(f"{len(METHODS) + 1} methods on {len(judging)} other pairs")
+    drives = list(_drives(_like(place, interval_s, pairs), wanted, base, tell))
+    choosing, judging = ([pair for drive in drives[side::2] for pair in drive.pairs(APART_S)] for side in (0, 1))
+    params = survey.matching.model_copy(update={"model": survey.model_path})
+    chosen = _chosen(choosing, params, tell)
+    tell(f"{len(METHODS) + 1 + (train is not None)} methods on {len(judging)} other pairs")
     rates = method_rates(judging, METHODS, params)
     paper = RelaxationParams.model_validate({**params.paper.model_dump(), **chosen})
     rates[CALIBRATED] = method_rates(judging, ["proposed"], params.model_copy(update={"paper": paper}))["proposed"]
+    if train is not None:
+        retrain(drives[0::2], train, params, tell)
+        params = params.model_copy(update={"model": str(train)})
+        rates[RETRAINED] = method_rates(judging, ["default"], params)["default"]
     seen = float(np.mean([len(pair.earlier) for pair in (*choosing, *judging)]))
-    return Calibration(interval_s, seen, len(judging), chosen, _summary(100 * rates))
+    return Calibration(interval_s, seen, len(judging), chosen, _summary(100 * rates), train)
 
 
-def labelled_pairs(scenario: Scenario, base: Path) -> list[LabelledPair]:
-    """Simulate *scenario* and return pairs of its consecutive frames, 20 s apart, as its detector saw them."""
+def retrain(drives: Sequence[Drive], out: Path, params: MatchingParams, tell: Tell) -> None:
+    """Add trees to the model of *params* that correct it for traffic like that of *drives*, and write it to *out*.
+
+    Every pair is looked at without a flow map and with the one that its drive's own sightings teach, as in a run.
+    """
+    lessons = []
+    for drive in drives:
+        taught = learn_flow(drive.sightings, matching=params)
+        for flow_map, pair in product((None, taught if len(taught.xy) else None), drive.pairs(LESSONS_APART_S)):
+            lessons.append(Lesson.of(pair, str(drive.seed), flow_map, params))
+    tell(f"the score is trained on {len(lessons)} pairs")
+    trained = train_model(lessons, begun=model_text(params.model))
+    make_folder(out.parent)
+    out.write_text(trained.text, encoding="utf-8")
+
+
+def drive_once(scenario: Scenario, base: Path) -> Drive:
+    """Simulate *scenario* and return what its detector saw."""
     with tempfile.TemporaryDirectory() as folder:
         simulate(scenario, Path(folder) / "drive", base=base)
         seen = pd.read_parquet(Path(folder) / "drive" / "detections.parquet")
         key = pd.read_parquet(Path(folder) / "drive" / "truth" / "detection_keys.parquet")
     # of vehicles merged into one sighting, one gives it its name
     named = key.dropna().sort_values("vehicle_id").drop_duplicates("detection_id").set_index("detection_id")
-    seen["vehicle"] = seen["detection_id"].map(named["vehicle_id"])
-    images = [image[COLUMNS].reset_index(drop=True) for _, image in seen.groupby("t_utc")]
+    known = seen.assign(vehicle=seen["detection_id"].map(named["vehicle_id"]))
+    images = [image[COLUMNS].reset_index(drop=True) for _, image in known.groupby("t_utc")]
     images = [image.assign(detection_id=np.arange(len(image)).astype(str)) for image in images]
-    step = max(2, round(APART_S / scenario.interval_s))
-    return [LabelledPair(images[at], images[at + 1], scenario.interval_s) for at in range(0, len(images) - 1, step)]
+    return Drive(scenario.seed, seen, images, scenario.interval_s)
+
+
+def _chosen(pairs: list[LabelledPair], params: MatchingParams, tell: Tell) -> dict[str, float]:
+    """Return the A, B, C that serve *pairs*, by the names of their parameters."""
+    default = np.array([params.paper.a_delay, params.paper.b_neighbours, params.paper.c_opposite])
+    settings = np.vstack([default, paper_grid(), logarithmic_grid()])
+    settings = settings[settings.sum(axis=1) > 0]
+    tell(f"{len(settings)} settings of A, B, C on {len(pairs)} pairs")
+    row = chosen_setting(sweep_rates(pairs, settings, params), settings, default)
+    names = ("a_delay", "b_neighbours", "c_opposite")
+    return dict(zip(names, (round(float(value), 3) for value in settings[row]), strict=True))
 
 
 def _like(place: Scenario, interval_s: float, pairs: int) -> Scenario:
@@ -152,8 +206,8 @@ def _like(place: Scenario, interval_s: float, pairs: int) -> Scenario:
     return Scenario.model_validate({**place.model_dump(), **changes})
 
 
-def _drives(scenario: Scenario, wanted: float | None, base: Path, tell: Tell) -> Iterator[list[LabelledPair]]:
-    """Yield the pairs of every drive, the demand scaled once so that about *wanted* vehicles are in view."""
+def _drives(scenario: Scenario, wanted: float | None, base: Path, tell: Tell) -> Iterator[Drive]:
+    """Yield every drive, the demand scaled once so that about *wanted* vehicles are in view."""
     first = _driven(scenario, 0, base, tell)
     scale = _scale(first, wanted)
     if scale != 1.0:
@@ -164,11 +218,10 @@ def _drives(scenario: Scenario, wanted: float | None, base: Path, tell: Tell) ->
         yield _driven(scenario, number, base, tell)
 
 
-def _driven(scenario: Scenario, number: int, base: Path, tell: Tell) -> list[LabelledPair]:
+def _driven(scenario: Scenario, number: int, base: Path, tell: Tell) -> Drive:
     tell(f"drive {number + 1} of {DRIVES}: {scenario.name}, seed {scenario.seed + number}")
-    found = labelled_pairs(scenario.model_copy(update={"seed": scenario.seed + number}), base)
-    found = [pair for pair in found if len(pair.earlier) and len(pair.later)]
-    if not found:
+    found = drive_once(scenario.model_copy(update={"seed": scenario.seed + number}), base)
+    if not found.pairs(APART_S):
         raise UnusableData(
             f"no vehicle was in view of the simulated {scenario.name}: raise traffic.demand_vph or warm_up_s of the "
             "scenario, or let the camera look at its roads (centre_m)"
@@ -176,10 +229,10 @@ def _driven(scenario: Scenario, number: int, base: Path, tell: Tell) -> list[Lab
     return found
 
 
-def _scale(pairs: list[LabelledPair], wanted: float | None) -> float:
+def _scale(drive: Drive, wanted: float | None) -> float:
     if wanted is None:
         return 1.0
-    ratio = wanted / float(np.mean([len(pair.earlier) for pair in pairs]))
+    ratio = wanted / float(np.mean([len(pair.earlier) for pair in drive.pairs(APART_S)]))
     return 1.0 if abs(ratio - 1) <= ALIKE else float(np.clip(ratio, 1 / MOST_SCALE, MOST_SCALE))
 
 

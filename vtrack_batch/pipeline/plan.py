@@ -22,7 +22,7 @@ from vtrack_batch.storage.output import digest
 Step = Literal["detect", "track", "traffic", "picture"]
 STEPS: tuple[Step, ...] = ("detect", "track", "traffic", "picture")
 
-ALGORITHM: Mapping[Step, int] = {"detect": 4, "track": 3, "traffic": 2, "picture": 1}
+ALGORITHM: Mapping[Step, int] = {"detect": 4, "track": 3, "traffic": 2, "picture": 2}
 """Raised whenever a step may give other results from the same inputs and parameters."""
 
 SITE_CANDIDATES = 5
@@ -147,9 +147,11 @@ class Plan:
         return (self.detect, self.track, self.traffic, self.picture)
 
 
-def make_plan(frames: pd.DataFrame, survey: Survey, *, zones_text: str | None, flow_map: str | None = None) -> Plan:
-    """Return the plan of *survey* for the indexed *frames*."""
-    settings = {step: _settings(survey, step, zones_text, flow_map) for step in STEPS}
+def make_plan(
+    frames: pd.DataFrame, survey: Survey, *, zones_text: str | None, learned: Mapping[str, str | None]
+) -> Plan:
+    """Return the plan of *survey* for the indexed *frames*; *learned* holds hashes of files learned elsewhere."""
+    settings = {step: _settings(survey, step, zones_text, learned) for step in STEPS}
     units = cut_units(frames, unit_s=survey.execution.unit_s, halo_s=survey.execution.halo_s)
     site = _named_site(frames, survey.georeference.reference_frame)
     if site is not None:
@@ -259,7 +261,7 @@ def _frames_hash(unit: Unit) -> str:
     return digest([[(ref.path, ref.sha256, ref.beside, ref.t_utc.astype(int)) for ref in group] for group in groups])
 
 
-def _settings(survey: Survey, step: Step, zones_text: str | None, flow_map: str | None) -> dict[str, str]:
+def _settings(survey: Survey, step: Step, zones_text: str | None, learned: Mapping[str, str | None]) -> dict[str, str]:
     """Return name → hash of what *step* reads besides its inputs: only its own sections, defaults filled in."""
     reads: dict[Step, dict[str, Any]] = {
         "detect": {
@@ -271,11 +273,11 @@ def _settings(survey: Survey, step: Step, zones_text: str | None, flow_map: str 
             "completeness": survey.completeness.model_dump(mode="json"),
         },
         "track": {
-            "matching": survey.matching.model_dump(mode="json"),
+            "matching": survey.matching.model_dump(mode="json", exclude={"model"}),
             "tracking": survey.tracking.model_dump(mode="json"),
             "revision": survey.revision.model_dump(mode="json"),
             "zones": zones_text,
-            "flow_map": flow_map,
+            **learned,
         },
         "traffic": {
             "traffic": survey.traffic.model_dump(mode="json"),

@@ -59,7 +59,7 @@ def prepare(survey: Survey, *, force: Step | None = None) -> Prepared:
         reasons = ", ".join(f"{n} {reason}" for reason, n in index.quarantine["reason"].value_counts().items())
         raise UnusableData(f"{index.root}: none of {len(index.quarantine)} files can be used ({reasons})")
     _check_ground(survey, index, zones_text)
-    plan = make_plan(index.frames, survey, zones_text=zones_text, flow_map=_hash_of_map(survey))
+    plan = make_plan(index.frames, survey, zones_text=zones_text, learned=_learned(survey))
     context = Context(survey, index.root, output.root, zones_text)
     return Prepared(context, index, plan, _due(plan, output, force))
 
@@ -82,13 +82,16 @@ def read_zones_text(survey: Survey) -> str | None:
         raise ConfigError(f"{path}: the zone file cannot be read ({why}); see `zones` in the survey file") from None
 
 
-def _hash_of_map(survey: Survey) -> str | None:
-    """Return the hash of the flow map's file, None where none is named; raises ``ConfigError`` if there is no such."""
-    if survey.flow_map is None:
-        return None
-    found = file_hash(survey.resolve(survey.flow_map))
-    if found is None:
-        raise ConfigError(f"{survey.resolve(survey.flow_map)}: no such flow map; see `flow_map` in the survey file")
+def _learned(survey: Survey) -> dict[str, str | None]:
+    """Return the hash of every file of something learned elsewhere, None where none is named, by its key in the survey.
+
+    Raises ``ConfigError`` if a file is not there.
+    """
+    found: dict[str, str | None] = {}
+    for key, name in {"flow_map": survey.flow_map, "matching.model": survey.matching.model}.items():
+        found[key] = None if name is None else file_hash(survey.resolve(name))
+        if name is not None and found[key] is None:
+            raise ConfigError(f"{survey.resolve(name)}: no such file; see `{key}` in the survey file")
     return found
 
 

@@ -163,7 +163,8 @@ _NO_RESULT = {"workers": True, "cluster": True, "memory_mb": True, "frame_limit_
 
 def named_files(survey: Survey) -> list[str]:
     """Return the files that a survey names, as it names them."""
-    return [name for name in (survey.zones, survey.flow_map, survey.archive.index) if name is not None]
+    named = (survey.zones, survey.flow_map, survey.matching.model, survey.archive.index)
+    return [name for name in named if name is not None]
 
 
 def unchanged(survey: Survey, output: Output) -> bool:

@@ -83,7 +83,7 @@ def _track(detections: pd.DataFrame, views: Views, context: Context, crs: str | 
     if context.zones_text is not None:
         zones = parse_zones(context.zones_text, crs=crs, source=str(survey.zones))
         inside = excluded(zones, detections["x_m"].to_numpy(), detections["y_m"].to_numpy())
-    matching: MatchingParams = survey.matching
+    matching: MatchingParams = survey.matching.model_copy(update={"model": survey.model_path})
     flow_map = load_map(survey.resolve(survey.flow_map) if survey.flow_map else None)
 
     def tracked(rows: pd.DataFrame, taught: FlowMap | None = None) -> Tracks:

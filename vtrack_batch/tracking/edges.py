@@ -14,7 +14,7 @@ from vtrack_batch.matching.flow import FlowMap
 from vtrack_batch.matching.match import bayes_evidence, place_density
 from vtrack_batch.matching.neighbours import neighbours_of
 from vtrack_batch.matching.params import MatchingParams
-from vtrack_batch.matching.score import against_none, link_probabilities
+from vtrack_batch.matching.score import against_none, link_probabilities, model_of
 from vtrack_batch.tracking.motion import States
 from vtrack_batch.tracking.params import TrackingParams
 from vtrack_batch.tracking.sightings import Array, Index, Sightings
@@ -116,7 +116,8 @@ def _judged(
     evidence = bayes_evidence(edges, neighbours, prior, log_colour, dt, matching, colour)
     log_odds, log_known = evidence.log_odds, np.zeros(len(edges))
     if matching.method != "untrained":
-        p = link_probabilities(edges, evidence, earlier_xy, later_xy, elapsed_s=dt, flow_map=flow_map)
+        places, model = (earlier_xy, later_xy), model_of(matching.model)
+        p = link_probabilities(edges, evidence, *places, elapsed_s=dt, flow_map=flow_map, model=model)
         log_odds, log_known = against_none(edges, p), CONTEXT * np.log(np.maximum(p, LEAST_KNOWN))
     return log_odds, log_odds - evidence.log_odds + evidence.log_prior, log_known
 
