@@ -38,6 +38,7 @@ from vtrack_batch.tracking.learn import learn_flow
 METHODS = ("default", "untrained", "assignment", "regions", "original", "colour", "opposite", "proposed")
 CALIBRATED, RETRAINED = "proposed, calibrated", "default, retrained"
 APART_S = 20.0  # pairs this far apart in time are as good as independent
+MOST_SWEPT = 20  # pairs; more would cost minutes and choose no better
 LESSONS_APART_S = 5.0  # to learn from, nearer ones serve as well
 DRIVES = 4  # of seeds of their own; every other one judges what the others chose
 COLUMNS = ["x_m", "y_m", "red", "green", "blue", "vehicle"]
@@ -106,7 +107,7 @@ class Calibration:
         return "\n".join(
             [
                 f"simulated: {self.vehicles:.0f} vehicles a frame, {self.interval_s:g} s between frames; "
-                f"{self.pairs} pairs of images chose, {self.pairs} others judged",
+                f"{self.pairs} pairs of images judged what others had chosen",
                 "",
                 f"{'method':<22} right labels, % [95 % interval of the mean]",
                 *table,
@@ -144,7 +145,7 @@ def calibrate(
     drives = list(_drives(_like(place, interval_s, pairs), wanted, base, tell))
     choosing, judging = ([pair for drive in drives[side::2] for pair in drive.pairs(APART_S)] for side in (0, 1))
     params = survey.matching.model_copy(update={"model": survey.model_path})
-    chosen = _chosen(choosing, params, tell)
+    chosen = _chosen(choosing[:: -(-len(choosing) // MOST_SWEPT)], params, tell)
     tell(f"{len(METHODS) + 1 + (train is not None)} methods on {len(judging)} other pairs")
     rates = method_rates(judging, METHODS, params)
     paper = RelaxationParams.model_validate({**params.paper.model_dump(), **chosen})
