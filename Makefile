@@ -5,7 +5,8 @@ BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .PHONY: help demo test test-slow check format docs lock clean \
-        accuracy bench-matching bench-tracks bench-paper bench-seeing bench-speed bench-oracles bench-scale bench-faults bench-archive bench-engine train-matching
+        accuracy bench-matching bench-tracks bench-paper bench-seeing bench-speed bench-oracles bench-scale bench-faults bench-archive bench-engine bench-zoo \
+        train-matching
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -82,6 +83,9 @@ bench-archive: $(VENV)/runtime ## how the engine scales with frames: docs/perfor
 
 bench-engine: $(VENV)/dev ## publishing years, the engine's share, workers, a unit on Dask: docs/performance.md
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.engine
+
+bench-zoo: $(VENV)/dev ## outcome, time and memory of every broken file: docs/reliability.md
+	$(BIN)/python -m benchmarks.zoo
 
 train-matching: $(VENV)/dev ## train the learned link score anew on simulated traffic, write it into the package
 	$(BIN)/python -m benchmarks.train_matching

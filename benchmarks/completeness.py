@@ -13,7 +13,8 @@ import pandas as pd
 import shapely
 
 import vtrack_batch as vt
-from benchmarks.crossings import called, crossings
+from benchmarks.crossings import crossings
+from benchmarks.jobs import called
 from benchmarks.page import ACCURACY, markdown_table, stamp, write_section
 from vtrack_batch.completeness.params import CompletenessParams
 from vtrack_batch.evaluation.frames import joined_frames

@@ -20,8 +20,3 @@ def crossings(first_seed: int) -> Iterator[tuple[int, Path]]:
             folder = Path(place) / str(seed)
             simulate(Scenario(seed=seed, duration_s=600.0, warm_up_s=420.0, camera=camera), folder)
             yield seed, folder
-
-
-def called(command: str) -> str:
-    """Return the command as it was called."""
-    return f"QUICK=1 {command}" if quick() else command

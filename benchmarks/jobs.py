@@ -18,6 +18,13 @@ def quick() -> bool:
     return os.environ.get("QUICK", "0") not in ("", "0")
 
 
+def called(command: str) -> str:
+    """Return *command* as it was called: of a make target QUICK is an argument, else it is in the environment."""
+    if not quick():
+        return command
+    return f"{command} QUICK=1" if command.startswith("make ") else f"QUICK=1 {command}"
+
+
 def parallel(jobs: Sequence[Job]) -> list[Any]:
     """Return what each job returns, in the order given; PROCESSES (2) run side by side, each on one thread."""
     start = time.perf_counter()

@@ -14,7 +14,7 @@ import pandas as pd
 from benchmarks import targets
 from benchmarks.environment import pinned
 from benchmarks.figures import rates_by_interval
-from benchmarks.jobs import parallel, quick
+from benchmarks.jobs import called, parallel, quick
 from benchmarks.methods import OURS, PEERS, Setting, flow_map, match_ours, run_on
 from benchmarks.noise import Noise
 from benchmarks.page import ACCURACY, FIGURES, PERFORMANCE, markdown_table, stamp, write_section
@@ -53,8 +53,7 @@ def main() -> None:
     answers = parallel(jobs)
     results = pd.concat([rows for rows, _ in answers], ignore_index=True)
     notes = [note for _, note in answers if note is not None]
-    command = COMMAND + (" QUICK=1" if few else "")
-    accuracy, performance = report(results, notes, command, few)
+    accuracy, performance = report(results, notes, few)
     write_section(ACCURACY, "matching", accuracy)
     write_section(PERFORMANCE, "matching", performance)
     print(accuracy, performance, sep="\n\n", file=sys.stdout)
@@ -119,7 +118,7 @@ def ece(scores: pd.DataFrame) -> float:
     return float(np.sum(off) / scores["links"].sum())
 
 
-def report(results: pd.DataFrame, notes: list[tuple], command: str, few: bool) -> tuple[str, str]:
+def report(results: pd.DataFrame, notes: list[tuple], few: bool) -> tuple[str, str]:
     """Return the sections of both pages."""
     nominal = results[results["variant"] == "nominal"]
     rates_by_interval(nominal[nominal["missed"] == 0.1], FIGURES / "matching.svg")
@@ -135,7 +134,7 @@ def report(results: pd.DataFrame, notes: list[tuple], command: str, few: bool) -
     lines += ["### More noise than usual (1.5 s, 10 % missed)", variant_table(results)]
     lines += ["### Are the stated probabilities true?", calibration_table(results)]
     lines += ["### What peers were tuned to", tuned_table(notes)]
-    line = stamp(command, peers=sorted({pinned(peer.environment) for peer in PEERS}))
+    line = stamp(called(COMMAND), peers=sorted({pinned(peer.environment) for peer in PEERS}))
     speed = ["## Pairs of images", SPEED_TEXT, speed_table(nominal), line]
     return "\n\n".join([*lines, line]), "\n\n".join(speed)
 

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 import vtrack_batch as vt
 from benchmarks.environment import run_peer
 from benchmarks.noise import Noise
+from benchmarks.paper_methods import METHODS
 from benchmarks.work import COLOURS, START, archive
-from vtrack_batch.matching.params import Method
 
 Setting = Mapping[str, Any]
 Index = NDArray[np.int64]
@@ -43,14 +43,12 @@ class Peer:
     tracks: tuple[Setting, ...] = field(default=())
 
 
-LETTERS = {"original": "(a) original", "colour": "(b) colour", "opposite": "(c) opposite", "proposed": "(d) proposed"}
-KNOWN = get_args(Method)
 OURS = (
     Ours("default, flow map", mapped=True),
     Ours("default"),
-    *((Ours("untrained", "untrained"),) if "untrained" in KNOWN else ()),
-    *((Ours("regions (Badenas)", "regions"),) if "regions" in KNOWN else ()),
-    *(Ours(f"paper's {letter}", method) for method, letter in LETTERS.items()),
+    Ours("untrained", "untrained"),
+    Ours("regions (Badenas)", "regions"),
+    *(Ours(f"paper's {letter}", method) for method, letter in METHODS.items()),
     Ours("our assignment", "assignment"),
     Ours("our assignment, no colour", "assignment", colour=False),
     Ours("nearest", "nearest"),

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.figures import paper_intervals
-from benchmarks.jobs import Job, parallel, quick
+from benchmarks.jobs import Job, called, parallel, quick
 from benchmarks.noise import COLOURS
 from benchmarks.page import FIGURES, PAPER, markdown_table, stamp, write_section
 from benchmarks.paper_methods import METHODS, MISSED, PAPER_S, WAYS, as_paper, rates, text
@@ -65,7 +65,7 @@ def main(asked: Sequence[str]) -> None:
         each = len(swept) // len(MISSED)
         sections["sweep"] = sweep_table({m: np.vstack(swept[n * each :][:each]) for n, m in enumerate(MISSED)})
     command = f"python -m benchmarks.paper {' '.join(asked)}" if asked else COMMAND
-    line = stamp(f"QUICK=1 {command}" if few else command)
+    line = stamp(called(command))
     for name, section in sections.items():
         if name in chosen:
             write_section(PAPER, name, f"{section}\n\n{line}")

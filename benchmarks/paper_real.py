@@ -8,10 +8,11 @@ import cv2
 import numpy as np
 import pandas as pd
 
+from benchmarks.archives import MUNICH, MUNICH_GSD_M
 from benchmarks.noise import COLOURS
-from benchmarks.page import SHARED, markdown_table
+from benchmarks.page import markdown_table
 from benchmarks.paper_methods import METHODS, MISSED, PAPER_S, as_paper, rates, rule_of
-from benchmarks.work import KIT_GSD_M, KIT_HZ, SONGDO_HZ, songdo_tracks
+from benchmarks.work import KIT_HZ, SONGDO_HZ, songdo_tracks
 
 TABLE_2 = {"original": (78.7, 75.6), "colour": (80.9, 75.6), "opposite": (83.2, 78.9), "proposed": (95.8, 96.7)}
 PLACES = {"KIT": "KIT MunichStreet02", "Songdo": "Songdo, no colour"}
@@ -37,7 +38,7 @@ def real_on(place: str, missed: float) -> pd.DataFrame:
 
 def kit_pairs(elapsed_s: float) -> pd.DataFrame:
     """Return the vehicles of MunichStreet02, every pair of frames: centres of boxes, mean colour of 2 m there."""
-    folder = SHARED / "kit-ais" / "MunichStreet02"
+    folder = MUNICH
     boxes = pd.read_csv(folder / "tracks.csv")
     col_px, row_px = (boxes["left"] + boxes["width"] / 2).to_numpy(), (boxes["top"] + boxes["height"] / 2).to_numpy()
     frames = {n: cv2.imread(str(folder / "frames" / f"{n:03d}.png"))[:, :, ::-1] for n in boxes["frame"].unique()}
@@ -46,7 +47,7 @@ def kit_pairs(elapsed_s: float) -> pd.DataFrame:
         # what lies a metre around the centre is roof, whichever way the vehicle points
         roof = (slice(max(at - ROOF_PX, 0), at + ROOF_PX + 1) for at in (y, x))
         colour[row] = frames[n][tuple(roof)].reshape(-1, 3).mean(axis=0)
-    rows = boxes.rename(columns={"id": "truth"}).assign(x_m=KIT_GSD_M * col_px, y_m=-KIT_GSD_M * row_px)
+    rows = boxes.rename(columns={"id": "truth"}).assign(x_m=MUNICH_GSD_M * col_px, y_m=-MUNICH_GSD_M * row_px)
     rows[COLOURS] = colour
     return _paired(rows[["truth", "frame", "x_m", "y_m", *COLOURS]], elapsed_s, step=round(elapsed_s * KIT_HZ), every=1)
 

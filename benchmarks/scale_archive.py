@@ -103,7 +103,7 @@ def in_process(step: str, folder: Path) -> dict[str, float]:
         index = make_index(survey, FileStore(folder / "results" / "state" / "files.sqlite"), Culprits({}))
         found["index_s"] = time.process_time() - began_s
         began_s = time.process_time()
-        found["pieces"] = len(make_plan(index.frames, survey, zones_text=None).pieces())
+        found["pieces"] = len(make_plan(index.frames, survey, zones_text=None, learned={}).pieces())
         found["plan_s"] = time.process_time() - began_s
     found["peak_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return found

@@ -6,7 +6,6 @@ settings of a grid on an archive that is not scored. Registration: stabilo, ORB,
 
 from __future__ import annotations
 
-import json
 import os
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,8 +17,9 @@ import numpy as np
 import pandas as pd
 
 import vtrack_batch as vt
+from benchmarks.archives import CITY, CITY_GSD_M, MUNICH, MUNICH_GSD_M, survey_of
 from benchmarks.environment import pinned
-from benchmarks.jobs import quick
+from benchmarks.jobs import called, quick
 from benchmarks.page import ACCURACY, FIGURES, PERFORMANCE, SHARED, markdown_table, stamp, write_section
 from benchmarks.seeing_detection import PEERS, Settings, aligned, detect, scores, tuned
 from benchmarks.seeing_realism import KIT_GSD_M, LABELS, differences, draw, real, rendered
@@ -49,13 +49,13 @@ QUICK, FULL = Extent(2, 60.0, False), Extent(10, 120.0, True)
 
 def main() -> None:
     """Run all three parts and write their sections of the pages."""
-    extent, command = (QUICK, f"{COMMAND} QUICK=1") if quick() else (FULL, COMMAND)
+    extent = QUICK if quick() else FULL
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         if (SHARED / "kit-ais").is_dir():
-            write_section(ACCURACY, "bench-seeing-realism", realism_page(folder, command))
-        write_section(PERFORMANCE, "bench-seeing-registration", registration_page(folder, extent, command))
-        write_section(ACCURACY, "bench-seeing-detection", detection_page(folder, extent, command))
+            write_section(ACCURACY, "bench-seeing-realism", realism_page(folder))
+        write_section(PERFORMANCE, "bench-seeing-registration", registration_page(folder, extent))
+        write_section(ACCURACY, "bench-seeing-detection", detection_page(folder, extent))
 
 
 # detection ------------------------------------------------------------------------------------------------------------
@@ -72,7 +72,7 @@ class Archive:
     gsd_m: float
 
 
-def detection_page(folder: Path, extent: Extent, command: str) -> str:
+def detection_page(folder: Path, extent: Extent) -> str:
     """Return the section on detection."""
     tuning = made(folder, TUNING_SEED, extent.duration_s / 2)
     work = aligned(tuning.frames, tuning.results, tuning.gsd_m)
@@ -86,7 +86,7 @@ def detection_page(folder: Path, extent: Extent, command: str) -> str:
     parts = [HEAD.format(count=extent.archives, seconds=extent.duration_s, settings=settings_text(chosen))]
     for name, results in groups.items():
         parts += [f"**{name}**", detection_table(results)]
-    return "\n\n".join(["## Detection beside other backgrounds", *parts, stamp(command, VERSIONS)])
+    return "\n\n".join(["## Detection beside other backgrounds", *parts, stamp(called(COMMAND), VERSIONS)])
 
 
 HEAD = """\
@@ -110,18 +110,12 @@ def made(folder: Path, seed: int, duration_s: float) -> Archive:
 
 def shared(folder: Path) -> Iterator[Archive]:
     """Run the archives beside the project."""
-    for name, gsd_m in {"rendered/city": GSD_M, "kit-ais/MunichStreet02": 0.12}.items():
-        source = SHARED / name
+    for source, gsd_m in ((CITY, CITY_GSD_M), (MUNICH, MUNICH_GSD_M)):
         if source.is_dir():
-            place = folder / source.name
-            place.mkdir()
-            survey = {
-                "archive": {"root": str(source / "frames"), "index": str(source / "times.csv")},
-                "georeference": {"gsd_m": gsd_m},
-            }
-            (place / "survey.yaml").write_text(json.dumps(survey))
-            vt.run_survey(vt.load_survey(place / "survey.yaml"), workers=1)
-            yield Archive(name, source / "frames", source, place / "results", gsd_m)
+            survey = survey_of(source, gsd_m, folder / source.name)
+            vt.run_survey(vt.load_survey(survey), workers=1)
+            name = source.relative_to(SHARED).as_posix()
+            yield Archive(name, source / "frames", source, survey.parent / "results", gsd_m)
 
 
 def measured(archive: Archive, chosen: Mapping[str, Settings]) -> dict[str, dict[str, Any]]:
@@ -183,7 +177,7 @@ def workers() -> int:
 # registration ---------------------------------------------------------------------------------------------------------
 
 
-def registration_page(folder: Path, extent: Extent, command: str) -> str:
+def registration_page(folder: Path, extent: Extent) -> str:
     """Return the section on registration."""
     half_s = extent.duration_s / 2
     wanted = {
@@ -214,16 +208,16 @@ def registration_page(folder: Path, extent: Extent, command: str) -> str:
         "No method is told where the frame before it was."
     )
     head = ["", "median, px", "max over frames, px", "lost", "ms a frame"]
-    made_by = stamp(command, VERSIONS, [pinned("stabilo")])
+    made_by = stamp(called(COMMAND), VERSIONS, [pinned("stabilo")])
     return "\n\n".join(["## Registration beside others", text, markdown_table(head, rows), made_by])
 
 
 # realism --------------------------------------------------------------------------------------------------------------
 
 
-def realism_page(folder: Path, command: str) -> str:
+def realism_page(folder: Path) -> str:
     """Return the section that lays rendered beside real frames."""
-    clip = SHARED / "kit-ais" / "MunichStreet02"
+    clip = MUNICH
     pairs = {
         gsd_m: (
             rendered(folder / f"realism-{gsd_m}", gsd_m),
@@ -241,7 +235,7 @@ def realism_page(folder: Path, command: str) -> str:
     )
     table = markdown_table(["", *(f"{gsd_m:g} m a pixel" for gsd_m in apart)], rows)
     return "\n\n".join(
-        ["## Rendered beside real frames", "![](figures/realism.svg)", text, table, stamp(command, VERSIONS)]
+        ["## Rendered beside real frames", "![](figures/realism.svg)", text, table, stamp(called(COMMAND), VERSIONS)]
     )
 
 

@@ -26,7 +26,7 @@ import simplejpeg
 
 import vtrack_batch as vt
 from benchmarks.environment import ONE_THREAD
-from benchmarks.jobs import quick
+from benchmarks.jobs import called, quick
 from benchmarks.page import PERFORMANCE, markdown_table, stamp, write_section
 from vtrack_batch.archive.decode import decode
 from vtrack_batch.simulation.params import Scenario
@@ -85,7 +85,6 @@ def performance_page(folder: Path, few: bool) -> str:
         print(name, json.dumps(measured[name]), flush=True)
     hd, half_s = folder / "HD" / "survey.yaml", wanted["HD"].duration_s / 2
     runs = [in_process(hd, workers=workers, unit_s=half_s) for workers in (1, 2)]
-    command = f"{COMMAND} QUICK=1" if few else COMMAND
     return "\n\n".join(
         [
             "## A run in units of decoding",
@@ -94,7 +93,7 @@ def performance_page(folder: Path, few: bool) -> str:
             workers_text(*runs),
             "### Where the time goes",
             stage_table(measured),
-            stamp(command, VERSIONS),
+            stamp(called(COMMAND), VERSIONS),
         ]
     )
 

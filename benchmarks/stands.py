@@ -14,7 +14,8 @@ import pandas as pd
 from scipy.spatial import KDTree
 
 import vtrack_batch as vt
-from benchmarks.crossings import called, crossings
+from benchmarks.crossings import crossings
+from benchmarks.jobs import called
 from benchmarks.page import ACCURACY, markdown_table, stamp, write_section
 from vtrack_batch.revision.params import RevisionParams
 

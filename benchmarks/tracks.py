@@ -14,7 +14,7 @@ import pandas as pd
 from benchmarks import targets
 from benchmarks.environment import pinned
 from benchmarks.figures import bars
-from benchmarks.jobs import parallel, quick
+from benchmarks.jobs import called, parallel, quick
 from benchmarks.matching import setting_text
 from benchmarks.methods import OURS, PEERS, Index, flow_map, run_on, track_ours
 from benchmarks.page import ACCURACY, FIGURES, PERFORMANCE, markdown_table, stamp, write_section
@@ -182,7 +182,7 @@ def report(simulated: pd.DataFrame, filmed: pd.DataFrame, notes: list[tuple], fe
     lines += ["![IDF1 by method](figures/tracks.svg)", "### Real traffic, no colour", REAL_TEXT, real_table(filmed)]
     lines += ["![label rates on real traffic](figures/tracks-real.svg)"]
     lines += ["### What peers were tuned to", tuned_table(notes)]
-    line = stamp(COMMAND + (" QUICK=1" if few else ""), peers=sorted({pinned(peer.environment) for peer in PEERS}))
+    line = stamp(called(COMMAND), peers=sorted({pinned(peer.environment) for peer in PEERS}))
     speed = ["## Sequences", SPEED_TEXT, speed_table(simulated), line]
     return "\n\n".join([*lines, line]), "\n\n".join(speed)
 

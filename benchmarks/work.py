@@ -13,13 +13,14 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from benchmarks.archives import MUNICH, MUNICH_GSD_M
 from benchmarks.noise import COLOURS, Noise, recoloured
 from benchmarks.page import SHARED
 
 SUMO = SHARED / "sumo"
 SCENES = ("road", "congested", "crossing", "grid")
 INTERVALS_S = (0.5, 1.5, 2.5, 4.0)
-SONGDO_HZ, KIT_HZ, KIT_GSD_M = 29.97, 2, 0.12
+SONGDO_HZ, KIT_HZ = 29.97, 2
 MOVES_M = 5.0
 START = pd.Timestamp("2026-05-17T08:00:00Z")
 
@@ -99,9 +100,9 @@ def skysat(interval_s: float, seed: int) -> pd.DataFrame:
 
 def kit_boxes(interval_s: float, seed: int) -> pd.DataFrame:
     """Return the boxes of MunichStreet02 (0.12 m a pixel, 10 s), 10 % dropped, jitter 0.3 m; ``counted`` = it moves."""
-    rows = pd.read_csv(SHARED / "kit-ais" / "MunichStreet02" / "tracks.csv").rename(columns={"id": "truth"})
+    rows = pd.read_csv(MUNICH / "tracks.csv").rename(columns={"id": "truth"})
     rows = rows.assign(x_m=rows["left"] + rows["width"] / 2, y_m=-(rows["top"] + rows["height"] / 2))
-    rows[["x_m", "y_m"]] *= KIT_GSD_M
+    rows[["x_m", "y_m"]] *= MUNICH_GSD_M
     moved = rows.groupby("truth")[["x_m", "y_m"]].agg(np.ptp).max(axis=1)
     rows = rows.assign(frame=rows["frame"] - rows["frame"].min(), counted=rows["truth"].map(moved) >= MOVES_M)
     return _thinned(rows[["truth", "frame", "x_m", "y_m", "counted"]], round(interval_s * KIT_HZ), interval_s, seed)

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -15,6 +18,7 @@ from vtrack_batch.storage.output import Output
 
 SLOW = ("numpy", "pandas", "cv2", "pyarrow", "pydantic", "scipy", "numba", "ruamel", "pyproj", "PIL")
 SURVEY = "archive: {root: frames, time_zone: UTC}\ngeoreference: {gsd_m: 0.3}\n"
+PAGE = (Path(__file__).parents[2] / "docs" / "how-to" / "schedule.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +51,45 @@ def test_nothing_is_said_when_all_is_well(survey: Path) -> None:
     text = (survey / "m.prom").read_text()
     assert 'vtrack_last_run_exit_code{survey="survey"} 0.000' in text
     assert 'vtrack_pieces_done{survey="survey",step="detect"} 0.000' in text
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_night_s_work_is_done_in_silence(survey: Path, tmp_path: Path, workers: int) -> None:
+    """Fault 59: also where there is something to do, and processes that do it."""
+    folder = Path(shutil.copytree(survey, tmp_path / "survey", ignore=shutil.ignore_patterns("results")))
+    (folder / "survey.yaml").write_text(SURVEY + "output: {quarantine_tolerance: 1.0}\n")
+    done = cron(folder, f"run survey.yaml -q --workers {workers}")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert (folder / "results" / "current" / "manifest.json").is_file()
+
+
+def test_losses_are_told_in_a_few_plain_lines(survey: Path, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(survey, tmp_path / "survey", ignore=shutil.ignore_patterns("results")))
+    (folder / "survey.yaml").write_text(SURVEY)
+    done = cron(folder, "run survey.yaml -q")
+    assert (done.returncode, done.stdout) == (3, "")
+    assert "1 frames used, 1 quarantined" in done.stderr
+    assert "\x1b" not in done.stderr
+    assert "\r" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "told"),
+    [
+        (lambda frames: shutil.rmtree(frames), 66, "no such folder"),
+        (lambda frames: [path.unlink() for path in frames.iterdir()], 66, "no "),
+        (lambda frames: [path.write_bytes(b"x" * 99) for path in frames.iterdir()], 65, "none of 2 frames can be used"),
+    ],
+)
+def test_an_archive_that_gives_nothing_has_a_code_of_its_own(
+    survey: Path, tmp_path: Path, change: Callable[[Path], object], code: int, told: str
+) -> None:
+    folder = Path(shutil.copytree(survey, tmp_path / "survey", ignore=shutil.ignore_patterns("results")))
+    change(folder / "frames")
+    done = cron(folder, "run survey.yaml -q")
+    assert (done.returncode, done.stdout, len(done.stderr.splitlines())) == (code, "", 1), done.stderr
+    assert told in done.stderr
+    assert "\x1b" not in done.stderr
 
 
 @pytest.mark.parametrize(
@@ -114,7 +157,43 @@ def test_commands_of_upkeep_answer(survey: Path) -> None:
     assert cron(survey, "gc survey.yaml --keep-hours 3").returncode == 2
 
 
-def test_the_schedule_page_is_ready_to_copy() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "how-to" / "schedule.md").read_text()
-    for needed in ("```crontab", "[Service]", "[Timer]", "SuccessExitStatus=75", "--deadline", "--metrics-file", "gc "):
-        assert needed in page
+def scheduled() -> list[str]:
+    """The commands of the schedule page that run by the clock: those of its crontab, and that of its unit."""
+    crontab = re.search(r"```crontab\n(.*?)```", PAGE, re.DOTALL)
+    assert crontab is not None
+    lines = [line.split(maxsplit=5)[5] for line in crontab[1].splitlines()]
+    return lines + re.findall(r"^ExecStart=(.*)$", PAGE, re.MULTILINE)
+
+
+@pytest.mark.parametrize("line", scheduled())
+def test_what_the_schedule_page_shows_runs_as_it_stands(survey: Path, tmp_path: Path, line: str) -> None:
+    """Fault 59: but for the places, which are each user's own."""
+    folder = Path(shutil.copytree(survey, tmp_path / "survey", symlinks=True))
+    (folder / "survey.yaml").write_text(SURVEY + "output: {quarantine_tolerance: 1.0}\n")
+    (folder / ".venv" / "bin").mkdir(parents=True)
+    program = folder / ".venv" / "bin" / "vtrack-batch"
+    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m vtrack_batch "$@"\n')
+    program.chmod(0o755)
+    here = line.replace("/srv/surveys/ring-road", str(folder)).replace("/var/lib/node_exporter", str(tmp_path))
+    assert here != line
+    clean = ["env", "-i", "LANG=C", "PATH=/usr/bin:/bin", "sh", "-c", here]
+    done = subprocess.run(clean, cwd=folder, capture_output=True, text=True, stdin=subprocess.DEVNULL, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not installed")
+def test_the_units_of_the_schedule_page_are_such(tmp_path: Path) -> None:
+    service, timer = re.findall(r"```ini\n(.*?)```", PAGE, re.DOTALL)
+    (tmp_path / "ring-road.service").write_text(
+        re.sub(r"^ExecStart=\S+", "ExecStart=/bin/true", service, flags=re.MULTILINE)
+    )
+    (tmp_path / "ring-road.timer").write_text(timer)
+    command = ["systemd-analyze", "verify", "--man=no", str(tmp_path / "ring-road.timer")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert "ring-road" not in done.stderr
+    assert done.returncode == 0
+
+
+def test_the_schedule_page_names_what_is_needed() -> None:
+    for needed in ("[Timer]", "SuccessExitStatus=75", "--deadline", "--metrics-file", "gc "):
+        assert needed in PAGE

@@ -73,7 +73,7 @@ def test_all_mistakes_are_told_at_once(tmp_path: Path) -> None:
         ("survey: &a {name: a}\narchive: *a\n", "aliases"),
         ("survey: !!python/object:os.system {name: a}\n", "tags"),
         ("survey:\n\tname: a\n", "survey.yaml:2:1"),
-        ("- a\n- b\n", "expected sections"),
+        ("- a\n- b\n", "expected keys such as `survey:`, found a list"),
         ("survey: {time_zone: Mars/Base}\n", "IANA"),
         ('survey: {start: "2026-05-17T06:00:00"}\n', "survey.start"),
         ('survey: {start: "2026-05-17T06:00:00Z", end: "2026-05-16T06:00:00Z"}\n', "not before"),

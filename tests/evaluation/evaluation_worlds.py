@@ -138,7 +138,7 @@ def result_of(
 
 
 def truth_of(rows: pd.DataFrame) -> Truth:
-    """The truth of the contract's tables for *rows* of the world."""
+    """The truth in declared tables for *rows* of the world."""
     frames = pd.DataFrame({"frame": range(FRAMES), "t_utc": frames_table()["t_utc"]})
     sightings = rows.drop(columns=["t_utc", "track"]).assign(motion="mover", length_px=np.nan, whole=True)
     ends = trips()

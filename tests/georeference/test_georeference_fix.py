@@ -39,7 +39,7 @@ SPREAD = np.array([[10.0, 20], [600, 30], [50, 330], [620, 340], [300, 180], [15
 
 
 class TestScale:
-    def test_local_frame_is_the_contract(self):
+    def test_local_frame_has_its_origin_at_the_top_left_and_y_up(self):
         col, row = PLACES.T
         found = ground(params(gsd_m=0.33))
         np.testing.assert_allclose(found, np.column_stack([(col + 0.5) * 0.33, -(row + 0.5) * 0.33]), atol=1e-9)

@@ -39,9 +39,9 @@ def test_votes_are_those_of_asking_everybody(seed, spread):
     votes = find_votes(edges.i, edges.displacement, xy, spread, PARAMS)
     dense = np.zeros((len(edges), len(edges)))
     for e in range(len(edges)):
-        by = votes.by[votes.start[e] : votes.start[e + 1]]
+        by = votes.by[votes.start[e] : votes.stop[e]]
         assert len(set(by)) == len(by)
-        dense[e, by] = votes.weight[votes.start[e] : votes.start[e + 1]]
+        dense[e, by] = votes.weight[votes.start[e] : votes.stop[e]]
     expected, voters = everybody_asked(edges.i, edges.displacement, xy, spread)
     assert (expected > 0).sum() > 50
     np.testing.assert_allclose(dense, expected, rtol=1e-5, atol=1e-12)

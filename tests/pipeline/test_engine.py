@@ -5,10 +5,14 @@ Steps are those of ``stub``: they read every frame and write every table, but lo
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
+import resource
 import shutil
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -20,7 +24,7 @@ from hypothesis import strategies as st
 from little import tree
 
 import vtrack_batch as vt
-from vtrack_batch.errors import ConfigError, NoArchive, StorageError
+from vtrack_batch.errors import CannotCreate, ConfigError, NoArchive, StorageError, VtrackError
 from vtrack_batch.pipeline import run as run_module
 from vtrack_batch.pipeline.explain import explain
 from vtrack_batch.pipeline.glance import glance
@@ -354,6 +358,77 @@ def test_explain_names_frames_and_parameters(survey: Path) -> None:
     assert explain(load(survey), "20260517T060030.0.jpg")
     with pytest.raises(ConfigError, match="no piece of work"):
         explain(load(survey), "nothing")
+
+
+@contextmanager
+def open_files_to_spare(count: int) -> Iterator[None]:
+    """Let this process open so many files more."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    taken = {int(path.name) for path in Path("/proc/self/fd").iterdir()}
+    free = (number for number in itertools.count() if number not in taken)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (next(itertools.islice(free, count, None)), hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+def test_a_limit_of_open_files_is_named_and_never_blamed_on_a_frame(survey: Path) -> None:
+    """Fault 41: from not one more file that can be opened to just enough."""
+    run(survey)
+    before, told, report = published(survey), [], None
+    next_day(survey)
+    for spare in range(100):
+        try:
+            with open_files_to_spare(spare):
+                report = run(survey)
+            break
+        except VtrackError as problem:
+            told.append((problem.exit_code, "Too many open files" in str(problem), published(survey) == before))
+    assert set(told) <= {(73, True, True), (74, True, True)}
+    assert len(told) > 1
+    assert report is not None
+    assert (report.frames_used, report.frames_quarantined) == (27, 0)
+
+
+def test_a_name_that_is_too_long_is_named(survey: Path) -> None:
+    """Fault 41."""
+    text = stub.SURVEY + f"output: {{root: {'o' * 300}}}\n"
+    (survey / "survey.yaml").write_text(text)
+    with pytest.raises(CannotCreate, match=r"ooo: .* cannot be written .*File name too long"):
+        run(survey)
+
+
+def test_files_grow_with_days_not_with_units(survey: Path) -> None:
+    """Fault 41: three units and two tables of theirs are one file each."""
+    found = published(survey)
+    assert sum(name.startswith("frames/") for name in found) == 1
+    assert sum(name.startswith("speeds/") for name in found) == 1
+    assert len(list((survey / "results" / "data" / "detect").iterdir())) == 3
+
+
+@pytest.mark.parametrize("force", [None, "detect"])
+def test_frames_that_come_during_the_scan_are_the_next_run_s(
+    survey: Path, monkeypatch: pytest.MonkeyPatch, force: Any
+) -> None:
+    """Fault 54: what the scan saw is what is worked on and remembered; what came a moment later is not forgotten."""
+    from vtrack_batch.archive import walk
+
+    run(survey)
+    real, come = walk._names, iter((24, 25))
+
+    def busy(directory: str | Path) -> list[str]:
+        names = real(directory)
+        for number in come:
+            stub.write_frame(survey, number)
+        settled(survey)
+        return names
+
+    with monkeypatch.context() as patch:
+        patch.setattr(walk, "_names", busy)
+        report = run(survey, force=force)
+    assert (report.frames_used, report.done["detect"]) == (24, 3 if force else 0)
+    assert run(survey).frames_used == 26
 
 
 def test_a_dying_disk_stops_the_run(survey: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from PIL import Image
 
-from vtrack_batch.report.summary import summary_page
+from vtrack_batch.report.summary import page_picture, summary_page
 
 START = pd.Timestamp("2026-05-17T06:00Z")
 
@@ -74,6 +74,7 @@ def tables():
             [("west", 10, 10.0, 9.0, 10.0, 12.0), ("west", 30, 20.0, 19.0, 20.0, 22.0), ("n", 0, *[np.nan] * 4)],
             speed_columns,
         ),
+        "trajectories": pd.DataFrame({"flags": [0, 1, 5, 4, 4]}),
         "stops": pd.DataFrame({"kind": ["signal", "signal"], "duration_s": [10.0, 30.0]}),
         "coverage": bins([("west",), ("east",)], ["place"]),
         "quarantine": pd.DataFrame(
@@ -82,17 +83,19 @@ def tables():
     }
 
 
-def png():
+def drawn():
     out = io.BytesIO()
     Image.fromarray(np.random.default_rng(0).integers(0, 255, (90, 2000, 3)).astype(np.uint8)).save(out, "PNG")
-    return out.getvalue()
+    return page_picture(out.getvalue())
 
 
 def test_numbers_of_the_tables_are_on_the_page():
-    page = Text(summary_page(manifest(), tables(), {"main map": png()}))
+    page = Text(summary_page(manifest(), tables(), {"main map": drawn()}))
     assert "2026-05-17 08:00 to 2026-05-17 08:15 (Europe/Berlin), " in page.text
     assert "used 117" in page.text
     assert "truncated 2 a.jpg" in page.text
+    assert "all 5 implausible speed 2 faster, or accelerating" in page.text
+    assert "bridged gap 3 holds points" in page.text
     assert "east 7 7" in page.text
     assert "west 41 2 43" in page.text
     assert "J1 west left 10 25% 40" in page.text  # of the turns that are known
@@ -102,18 +105,20 @@ def test_numbers_of_the_tables_are_on_the_page():
 
 
 def test_nothing_is_loaded_and_nothing_runs():
-    page = summary_page(manifest(), tables(), {"map": png()})
+    page = summary_page(manifest(), tables(), {"map": drawn()})
     parsed = Text(page)
     assert "default-src 'none'" in page
     assert not parsed.tags & {"script", "link", "iframe", "object", "form", "base"}
+    assert parsed.loads
     assert all(load.startswith("data:image/jpeg;base64,") for load in parsed.loads)
     assert "http://" not in page
     assert "https://" not in page
 
 
 def test_pictures_are_shrunk_for_the_page():
-    page = summary_page(manifest(), {}, {"map": png()})
-    assert len(page) < 400_000
+    with Image.open(io.BytesIO(drawn())) as shown:
+        assert (shown.format, shown.size) == ("JPEG", (1600, 72))
+    assert len(summary_page(manifest(), {}, {"map": drawn()})) < 400_000
 
 
 def test_names_cannot_become_markup():
@@ -122,7 +127,7 @@ def test_names_cannot_become_markup():
     found["quarantine"] = found["quarantine"].assign(path=evil, reason=evil)
     found["od_pairs"] = found["od_pairs"].astype({"origin": object}).replace({"origin": {"west": evil}})
     found["speeds"] = found["speeds"].assign(place=evil)
-    page = summary_page(manifest(survey=evil + "$title ${x}", crs=evil), found, {evil: png()})
+    page = summary_page(manifest(survey=evil + "$title ${x}", crs=evil), found, {evil: drawn()})
     assert "<script" not in page
     assert "$title ${x}" in Text(page).text
 
@@ -144,6 +149,6 @@ def test_empty_result_still_has_a_page():
 
 
 def test_same_input_same_page():
-    assert summary_page(manifest(), tables(), {"b": png(), "a": png()}) == summary_page(
-        manifest(), {name: table.iloc[::-1] for name, table in tables().items()}, {"a": png(), "b": png()}
+    assert summary_page(manifest(), tables(), {"b": drawn(), "a": drawn()}) == summary_page(
+        manifest(), {name: table.iloc[::-1] for name, table in tables().items()}, {"a": drawn(), "b": drawn()}
     )

@@ -103,12 +103,13 @@ def test_movements_are_those_of_the_traffic_chapter(nets: dict[str, RoadNet], na
 def test_zones_lead_inwards(nets: dict[str, RoadNet]) -> None:
     at, view = found(nets["crossing"], azimuth_deg=20), stage(azimuth_deg=20)
     drawn = parse_zones(zones.zones_geojson(at, view), crs=None, source="zones")
-    for zone in drawn:
-        if zone.role == "gate":
-            (x0, y0), (x1, y1) = zone.geometry.coords
-            x, y = view.centre_m
-            assert zone.properties["inward"] == "right"
-            assert (x1 - x0) * (y - y0) - (y1 - y0) * (x - x0) < 0, "the middle lies to the right"
+    gates = [zone for zone in drawn if zone.role == "gate"]
+    assert len(gates) == 4
+    for zone in gates:
+        (x0, y0), (x1, y1) = zone.geometry.coords
+        x, y = view.centre_m
+        assert zone.properties["inward"] == "right"
+        assert (x1 - x0) * (y - y0) - (y1 - y0) * (x - x0) < 0, "the middle lies to the right"
 
 
 def test_demand_and_shares_come_out() -> None:

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import os
 import shutil
+import subprocess
+import sys
 import threading
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pyarrow as pa
@@ -167,43 +171,114 @@ def test_a_part_is_flushed_before_and_after_it_gets_its_name(output: Output, mon
     assert before[-1][1].startswith("track-k"), "the folder itself comes last"
 
 
-def test_readers_see_whole_snapshots_while_500_are_published(tmp_path: Path) -> None:
-    """Fault 51: whoever resolves `current` once reads one whole snapshot, also while others go."""
-    memory = Path("/dev/shm")
-    root = memory / f"vtrack-readers-{os.getpid()}" if memory.is_dir() else tmp_path / "out"
-    output, rounds = Output(root), 500
-    output.create()
-    seen: list[int] = []
-    stop = threading.Event()
+READER = """
+import sys
+from pathlib import Path
+import pandas as pd
 
-    def read() -> None:
-        while not stop.is_set():
-            snapshot = output.current.resolve()
-            rows = [pq.read_table(path).num_rows for path in sorted(snapshot.glob("t/*/*.parquet"))]
-            seen.append(len(rows) and rows[0] if len(set(rows)) == 1 and len(rows) == 3 else -1)
-
+current, stop = Path(sys.argv[1]), Path(sys.argv[2])
+while not stop.exists():
+    snapshot = current.resolve()
     try:
-        reader = threading.Thread(target=read)
-        for number in range(1, rounds + 1):
-            with output.new_part("track", f"k{number}", {}) as folder:
-                pq.write_table(pa.table({"a": list(range(number))}), folder / "t.parquet")
-            part = output.part("track", f"k{number}")
-            assert part is not None
-            links = {f"t/date={day}/x.parquet": part.file("t.parquet") for day in range(3)}
-            output.publish(links, {}, {"files": {}, "parts": {"track": {"x": f"k{number}"}}})
-            if number == 1:
-                reader.start()
-        age(output.snapshots / "000499", 100)
-        for folder in output.snapshots.iterdir():
-            if folder.name < "000490":
-                age(folder, 100)
-        remove(find_rubbish(output, {}))
-        stop.set()
-        reader.join()
-    finally:
-        stop.set()
-        shutil.rmtree(root)
-    assert seen, "the reader came to read"
-    assert -1 not in seen
-    assert seen == sorted(seen)
-    assert len(set(seen)) > 5
+        rows = len(pd.read_parquet(snapshot / "t"))
+    except Exception:
+        rows = -1
+    print(int(snapshot.name), rows, flush=True)
+"""
+
+
+@pytest.fixture
+def quick_folder(tmp_path: Path) -> Iterator[Path]:
+    """A folder in memory, where flushing costs nothing; on the disk where there is none."""
+    memory = Path("/dev/shm")
+    folder = memory / f"vtrack-readers-{os.getpid()}" if memory.is_dir() else tmp_path / "quick"
+    folder.mkdir()
+    yield folder
+    shutil.rmtree(folder)
+
+
+class Reads(list[tuple[int, int]]):
+    """What a reader has read: number of the snapshot, and its rows."""
+
+    ended = False
+
+    def until(self, come: Callable[[tuple[int, int]], bool]) -> tuple[int, int]:
+        """Wait for a read, from now on, that is what is wanted, and return it."""
+        at = len(self)
+        while not any(map(come, self[at:])):
+            assert not self.ended, "the reader died"
+            time.sleep(0.005)
+        return next(filter(come, self[at:]))
+
+
+@contextmanager
+def reading(output: Output) -> Iterator[Reads]:
+    """Have pandas read the newest table t again and again in a process of its own; gives what it reads."""
+    stop, reads = output.root / "stop", Reads()
+    command = [sys.executable, "-c", READER, str(output.current), str(stop)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as reader:
+        assert reader.stdout is not None
+        lines = reader.stdout
+
+        def listen() -> None:
+            for number, rows in map(str.split, lines):
+                reads.append((int(number), int(rows)))
+            reads.ended = True
+
+        listener = threading.Thread(target=listen)
+        listener.start()
+        try:
+            yield reads
+        finally:
+            stop.touch()
+            listener.join()
+
+
+def links_to_rows(output: Output, number: int) -> dict[str, Path]:
+    """Make a part with *number* rows; returns the places of three dates that lead to it."""
+    with output.new_part("track", f"k{number}", {}) as folder:
+        pq.write_table(pa.table({"a": list(range(number))}), folder / "t.parquet")
+    part = output.part("track", f"k{number}")
+    assert part is not None
+    return {f"t/date=2026-05-1{day}/x.parquet": part.file("t.parquet") for day in range(3)}
+
+
+def test_readers_see_whole_snapshots_while_500_are_published(quick_folder: Path) -> None:
+    """Fault 51: whoever resolves `current` once reads one whole snapshot, also while older ones are collected."""
+    output, collected = Output(quick_folder), 0
+    output.create()
+    output.publish(links_to_rows(output, 1), {}, {"files": {}, "parts": {"track": {"x": "k1"}}})
+    with reading(output) as reads:
+        reads.until(lambda read: read[0] == 1)
+        for number in range(2, 501):
+            manifest = {"files": {}, "parts": {"track": {"x": f"k{number}"}}}
+            output.publish(links_to_rows(output, number), {}, manifest)
+            if number % 100 == 0:
+                nobody_reads_any_more, _ = reads.until(lambda _: True)
+                for folder in output.snapshots.iterdir():
+                    if int(folder.name) < nobody_reads_any_more:
+                        age(folder, 100)
+                rubbish = find_rubbish(output, {})
+                remove(rubbish)  # while the next is read
+                collected += len(rubbish.snapshots)
+        reads.until(lambda read: read[0] == 500)
+    assert [rows for _, rows in reads] == [3 * number for number, _ in reads]
+    assert reads == sorted(reads)
+    assert len(set(reads)) > 5
+    assert collected > 100
+
+
+def test_a_reader_would_see_a_snapshot_that_was_filled_in_place(quick_folder: Path) -> None:
+    """What the test above rests on: the same reader, and `current` that leads to a folder still to be filled."""
+    output = Output(quick_folder)
+    output.create()
+    output.publish(links_to_rows(output, 1), {}, {})
+    with reading(output) as reads:
+        reads.until(lambda read: read == (1, 3))
+        output.lead_to("000002")
+        reads.until(lambda read: read == (2, -1))
+        for files, (place, source) in enumerate(links_to_rows(output, 2).items(), start=1):
+            name = output.snapshots / "000002" / place
+            name.parent.mkdir(parents=True)
+            name.hardlink_to(source)
+            reads.until(lambda read, files=files: read == (2, 2 * files))

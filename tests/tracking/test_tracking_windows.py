@@ -1,5 +1,6 @@
 """A long sequence tracked in windows gives what it gives as a whole; parts hold whole chains, each sighting once."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -8,9 +9,11 @@ import pytest
 from tracking_worlds import street, utc
 
 from vtrack_batch.matching.params import MatchingParams
+from vtrack_batch.tracking.pairs import chain_pairs
 from vtrack_batch.tracking.params import TrackingParams, WindowParams
 from vtrack_batch.tracking.sightings import of_frames, read_detections, sightings_of
 from vtrack_batch.tracking.track import track, track_runs
+from vtrack_batch.tracking.windows import linked_in_windows
 
 SMALL = TrackingParams(windows=WindowParams(window_sightings=1000, context_frames=12))
 
@@ -73,3 +76,32 @@ def test_long_silence_between_windows(world):
     found = track(later, method="untrained", params=SMALL).trajectories
     assert ((found["t_end_utc"] - found["t_start_utc"]) < pd.Timedelta(hours=1)).all()
     assert len(found) >= 140
+
+
+@pytest.mark.parametrize("times", [3, 9])
+def test_what_is_held_at_once_does_not_grow_with_the_sequence(world, times):
+    s = sightings_of(read_detections(world), "all", None, 0.4)
+    frames = len(s.frame_s)
+    runs = [of_frames(s, low, min(low + 20, frames)) for low in range(0, frames, 20)]
+    gap = s.frame_s[-1] + 1.5
+    again = [replace(run, start=run.start + pd.Timedelta(seconds=turn * gap)) for turn in range(times) for run in runs]
+    asked, read, told, most_held = [], 0, 0, 0
+
+    def reading():
+        nonlocal read
+        for run in again:
+            read += len(run)
+            yield run
+
+    def linked(window):
+        asked.append(len(window))
+        return chain_pairs(window, "nearest", MatchingParams(), None)
+
+    for part, _ in linked_in_windows(reading(), linked, SMALL.windows, 9.0):
+        most_held = max(most_held, read - told)
+        told += len(part)
+    assert told == read == times * len(s)
+    a_frame = int(np.diff(s.first).max())
+    window = SMALL.windows.window_sightings + 2 * SMALL.windows.context_frames * a_frame
+    assert SMALL.windows.window_sightings <= max(asked) <= window + 20 * a_frame
+    assert max(asked) <= most_held <= 2 * window + 20 * a_frame

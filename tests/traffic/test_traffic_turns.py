@@ -83,6 +83,7 @@ def test_names_do_not_depend_on_the_compass_and_swap_in_the_mirror(angle, mirror
     places = places_of(zones, site_centre=None, params=TrafficParams())
     movement = junctions_of(zones, places)[0].movement
     mirror = {"left": "right", "right": "left"} if mirrored else {}
+    assert {(places[a].id, places[b].id) for a, b in movement} >= set(NAMES)
     for (a, b), name in movement.items():
         expected = NAMES.get((places[a].id, places[b].id), "u_turn")
         assert name == mirror.get(expected, expected)

@@ -18,6 +18,7 @@ from vtrack_batch.errors import UnusableFrame
 MAX_FILE_BYTES = 2**30
 _RETRIES, _RETRY_AFTER_S = 2, 0.2
 _PASSING = (errno.EIO, errno.ESTALE)
+_OF_THE_MACHINE = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
 _REASONS = {
     errno.ENOENT: "file_missing",
     errno.ENOTDIR: "file_missing",
@@ -33,7 +34,8 @@ def read_bytes(root: Path, path: str, *, max_bytes: int = MAX_FILE_BYTES) -> byt
     """Return the bytes of the file at *path* (as in ``Scan.files``, odd characters escaped) below *root*.
 
     Raises UnusableFrame with reason file_missing, permission, not_a_regular_file, too_large, changed_while_reading,
-    io_error (after two retries: network file systems recover) or outside_archive.
+    io_error (after two retries: network file systems recover) or outside_archive; OSError where it is the machine that
+    has no more memory or open files to give.
     """
     name = unescape(path)
     for attempt in range(_RETRIES + 1):
@@ -53,7 +55,9 @@ def content_hash(data: bytes) -> str:
 
 
 def unreadable(error: OSError, path: Path) -> UnusableFrame:
-    """Return what *error*, met when opening or reading *path*, means for the frame."""
+    """Return what *error*, met when opening or reading *path*, means for the frame; raises it if it is not about it."""
+    if error.errno in _OF_THE_MACHINE:
+        raise error
     return UnusableFrame(_REASONS.get(error.errno or 0, "io_error"), _detail(error, path))
 
 

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+from vtrack_batch.archive.read import unreadable
 from vtrack_batch.errors import NoArchive
 
 RACY_S = 2.0
@@ -47,7 +48,7 @@ def walk(root: Path) -> Iterator[File | Refused]:
     try:
         top = _names(root)
     except OSError as error:
-        raise NoArchive(f"the archive {root} cannot be read: {error.strerror}") from error
+        raise NoArchive(f"the archive {root} cannot be read: {unreadable(error, root).detail}") from error
     yield from _below(os.fspath(root), top)
 
 
@@ -119,7 +120,8 @@ def _below(root: str, top: list[str]) -> Iterator[File | Refused]:
         except FileNotFoundError:
             continue  # removed while we looked: it is not there
         except OSError as error:
-            yield Refused(path[:-1], "permission", f"the directory cannot be read: {error.strerror}")
+            problem = unreadable(error, Path(root, path))
+            yield Refused(path[:-1], problem.reason, f"the directory cannot be read: {problem.detail}")
 
 
 def _looked_at(place: str, name: str) -> File | Refused | None:
@@ -128,7 +130,8 @@ def _looked_at(place: str, name: str) -> File | Refused | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        return Refused(name, "io_error", f"its size and time cannot be read: {error.strerror}")
+        problem = unreadable(error, Path(place))
+        return Refused(name, problem.reason, f"its size and time cannot be read: {problem.detail}")
     if stat.S_ISREG(status.st_mode):
         return File(name, status.st_size, status.st_mtime_ns)
     kind = "a symbolic link" if stat.S_ISLNK(status.st_mode) else "a pipe, socket or device"

@@ -48,7 +48,7 @@ def group() -> None:
 
 
 def main() -> None:
-    """Run the command line and exit with the code that the contract gives each outcome."""
+    """Run the command line and exit with the code that each outcome has: see ``errors``."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     signal.signal(signal.SIGTERM, _stop)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -30,15 +31,13 @@ def command(survey_yaml: Path | None, out: Path | None, as_json: bool, quiet: bo
 
     found = examine(options.load(survey_yaml, out) if survey_yaml is not None else None)
     problems = [f"{one.name}: {one.problem}" for one in found if one.problem]
-    lines = []
-    for one in found:
-        value = one.value
-        lines.append(
-            f"{one.name}: "
-            + (", ".join(f"{k} {v}" for k, v in value.items()) if isinstance(value, dict) else str(value))
-        )
+    lines = [f"{one.name}: {_words(one.value)}" for one in found]
+    lines += [f"problem: {text}" for text in problems] or ["no problems found"]
     if not quiet or problems:
-        value = {**{one.name: one.value for one in found}, "problems": problems}
-        lines += [f"problem: {text}" for text in problems] or ["no problems found"]
-        options.answer(value, "\n".join(lines), as_json=as_json)
+        answer = {**{one.name: one.value for one in found}, "problems": problems}
+        options.answer(answer, "\n".join(lines), as_json=as_json)
     return TROUBLE if problems else 0
+
+
+def _words(value: Any) -> str:
+    return ", ".join(f"{name} {part}" for name, part in value.items()) if isinstance(value, dict) else str(value)

@@ -61,7 +61,7 @@ def declared(chosen: Mapping[str, Any]) -> Any:
 
     for pair in chosen["columns"]:
         if "=" not in pair:
-            raise click.BadParameter(f"{pair!r} is not OURS=THEIRS", param_hint="--column")
+            raise click.BadParameter(f"expected OURS=THEIRS, say x_m=Local_X, found {pair!r}", param_hint="--column")
     named = {**chosen, "columns": dict(pair.split("=", 1) for pair in chosen["columns"])}
     return Declared(**named)
 

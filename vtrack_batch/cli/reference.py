@@ -15,17 +15,9 @@ from vtrack_batch.cli import COMMANDS, group
 from vtrack_batch.model.describe import tables_page
 
 CHAPTERS = (
-    "archive",
-    "registration",
-    "georeference",
-    "background",
-    "detection",
-    "matching",
-    "tracking",
-    "traffic",
-    "evaluation",
-    "simulation",
-)
+    "archive", "registration", "georeference", "background", "detection", "completeness", "matching", "tracking",
+    "revision", "traffic", "evaluation", "simulation",
+)  # fmt: skip
 
 
 def pages() -> dict[str, str]:

@@ -31,7 +31,7 @@ def load_survey(path: str | Path) -> Survey:
 
 def load_params(path: Path, model: type[Model]) -> Model:
     """Read the YAML file at *path* into *model*; raises ``ConfigError`` that lists every mistake."""
-    tree = _read_yaml(path)
+    tree = _read_yaml(path, model)
     try:
         return model.model_validate(_plain(tree))
     except ValidationError as problem:
@@ -41,21 +41,22 @@ def load_params(path: Path, model: type[Model]) -> Model:
         raise ConfigError("\n".join([*lines, f"{count}{schema}"])) from None
 
 
-def _read_yaml(path: Path) -> Any:
+def _read_yaml(path: Path, model: type[BaseModel]) -> Any:
     try:
         data = path.read_bytes()
     except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file; `vtrack-batch init` writes a survey file") from None
+        hint = "`vtrack-batch init` writes a survey file" if model is Survey else "check the path"
+        raise ConfigError(f"{path}: no such file; {hint}") from None
     except (OSError, ValueError) as problem:
         raise ConfigError(f"{path}: cannot be read ({problem})") from None
     if len(data) > MAX_FILE_BYTES:
-        raise ConfigError(f"{path}: {len(data)} bytes; a survey file has at most {MAX_FILE_BYTES}")
+        raise ConfigError(f"{path}: expected at most {MAX_FILE_BYTES} bytes, found {len(data)}; is it the right file?")
     try:
         text = data.decode("utf-8")
         _refuse_aliases_and_tags(path, text)
         tree = YAML(typ="rt").load(text)
     except UnicodeDecodeError as problem:
-        raise ConfigError(f"{path.name}: not UTF-8 text ({problem})") from None
+        raise ConfigError(f"{path.name}: expected UTF-8 text ({problem}); save it as UTF-8") from None
     except MarkedYAMLError as problem:
         mark = problem.problem_mark
         place = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
@@ -65,7 +66,8 @@ def _read_yaml(path: Path) -> Any:
     if tree is None:
         return {}
     if not isinstance(tree, Mapping):
-        raise ConfigError(f"{path.name}:1:1: expected sections such as `archive:`, found {type(tree).__name__}")
+        found = repr(tree)[:40] if isinstance(tree, str | int | float) else "a list"
+        raise ConfigError(f"{path.name}:1:1: expected keys such as `{next(iter(model.model_fields))}:`, found {found}")
     return tree
 
 

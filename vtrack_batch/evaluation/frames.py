@@ -35,8 +35,8 @@ def joined_frames(result: Result, truth: Truth) -> tuple[pd.DataFrame, list[str]
     wanted = truth.frames.assign(key=key.astype(found["key"].dtype)).rename(columns={"frame": "true_frame"})
     both = wanted.merge(found, on="key", how="inner", suffixes=("_true", ""))
     if both.empty:
-        how = "time stamp" if by_time else "number in the file name"
-        raise UnusableData(f"result and truth have no frame in common (by {how}); are they of the same archive?")
+        by = "time stamp" if by_time else "number in the file name"
+        raise UnusableData(_nothing_common(by, found["key"], wanted["key"]))
     both["t_utc"] = both["t_utc"].fillna(both["t_utc_true"])
     both["t_s"] = _seconds(both["t_utc"], both["true_frame"])
     both["sequence"] = pd.factorize(both["sequence"].ffill().bfill(), sort=True)[0]
@@ -85,9 +85,19 @@ def _result_frames(result: Result) -> pd.DataFrame:
     return pd.concat([frames, only_path.reindex(columns=frames.columns).astype(frames.dtypes.to_dict())])
 
 
+def _nothing_common(by: str, found: pd.Series, true: pd.Series) -> str:
+    """Return what to say where no key of the result is one of the truth."""
+    own, other = (f"{keys.min()} to {keys.max()}" if keys.notna().any() else "none" for keys in (found, true))
+    return (
+        f"result and truth have no frame in common by {by}: the result has {own}, the truth {other}; "
+        "are they of the same archive?"
+    )
+
+
 def _refuse_doubles(key: pd.Series, what: str) -> None:
     if key.duplicated().any():
-        raise UnusableData(f"the truth has several frames of the same {what}: {key[key.duplicated()].iloc[0]}")
+        twice = key[key.duplicated()].iloc[0]
+        raise UnusableData(f"the truth has several frames of the same {what}, {twice}: give it sequence by sequence")
 
 
 def _seconds(t_utc: pd.Series, number: pd.Series) -> pd.Series:

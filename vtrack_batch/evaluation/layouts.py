@@ -12,7 +12,7 @@ from vtrack_batch.errors import UnusableData
 from vtrack_batch.evaluation.bodies import nearest_gap
 from vtrack_batch.evaluation.frames import file_number
 from vtrack_batch.evaluation.scene import ground_scale
-from vtrack_batch.evaluation.sides import Layout, Truth
+from vtrack_batch.evaluation.sides import SIGHTING_NUMBERS, Layout, Truth
 from vtrack_batch.model import homography
 from vtrack_batch.model.flags import DetectionFlag
 from vtrack_batch.model.tables import TABLES
@@ -22,16 +22,12 @@ POSE = [f"h{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)]
 _GAP_REACH_M = 5.0
 _GAP_REACH_PX = 60.0
 _LEAST_VISIBLE = 0.5
-_NUMBERS = (
-    "col_px", "row_px", "x_m", "y_m", "length_px", "length_m", "speed_mps", "standing_s", "luminance", "shadowed",
-    "gap_m", "gap_px",
-)  # fmt: skip
 Tables = Mapping[str, pd.DataFrame]
 """The tables of a truth by name, as read: an absent file is an empty table."""
 
 
 def tables_truth(tables: Tables) -> Truth:
-    """The contract's tables: detections whose vehicle is named by ``vehicle_id``, or else by the track points.
+    """Declared tables: detections whose vehicle is named by ``vehicle_id``, or else by the track points.
 
     Frames are numbered in order of time: those of ``frames`` where it is there, else those in which a vehicle is. A
     vehicle need not be found where less than half of it is visible. Of ``others``, trams are neither right nor wrong.
@@ -101,7 +97,10 @@ def kit_truth(tables: Tables) -> Truth:
     rows = tables["tracks"]
     motion = tables["vehicles"].set_index("id")["motion"]
     if strangers := sorted(set(rows["id"]) - set(motion.index)):
-        raise UnusableData(f"vehicles.csv: no motion is given for id {strangers[0]}")
+        raise UnusableData(
+            f"vehicles.csv: no motion is given for id {strangers[0]}, one of {len(strangers)} ids of tracks.csv "
+            "that have no row there; add them as mover, creeper or parked"
+        )
     seen = _boxed(rows).assign(motion=rows["id"].map(motion))
     return _csv_truth("kit", rows["frame"], seen, tables)
 
@@ -156,7 +155,7 @@ def as_text(value: object) -> str | None:
 
 
 def _csv_truth(layout: Layout, frames: pd.Series, seen: pd.DataFrame, tables: Tables) -> Truth:
-    """Return the truth; ``tables`` may hold ``times``, ``parked``, ``poses``, ``ignore`` and the contract's tables."""
+    """Return the truth; ``tables`` may hold ``times``, ``parked``, ``poses``, ``ignore`` and declared tables."""
     number = np.unique(frames.to_numpy(np.int64))
     of_frame = pd.DataFrame({"frame": number, "t_utc": pd.Series(pd.NaT, range(len(number)), "datetime64[us, UTC]")})
     times = tables.get("times", pd.DataFrame())
@@ -181,7 +180,10 @@ def _numbered(tables: Tables, *times: pd.Series) -> pd.DataFrame:
     t_utc = pd.concat(times).drop_duplicates().sort_values(ignore_index=True)
     poses = tables["poses"]
     if len(poses) and len(poses) != len(t_utc):
-        raise UnusableData(f"{len(poses)} poses but {len(t_utc)} frames with vehicles; frames.parquet is missing")
+        raise UnusableData(
+            f"poses.csv: expected a row for each of {len(t_utc)} frames, found {len(poses)}; put frames.parquet beside "
+            "it, which names the frames without vehicles too"
+        )
     return pd.DataFrame({"frame": np.arange(len(t_utc)), "t_utc": t_utc})
 
 
@@ -224,8 +226,8 @@ def _gap(seen: pd.DataFrame, place: list[str], size: list[str], heading: str, re
 def _sightings(rows: pd.DataFrame) -> pd.DataFrame:
     """Return the columns of ``Truth.sightings``; what the layout does not give is NaN, a mover, and whole."""
     rows = rows.assign(whole=rows.get("whole", True), motion=rows.get("motion", "mover"))
-    columns = ["frame", "vehicle", "detection_id", "motion", "whole", *_NUMBERS]
-    return rows.reindex(columns=columns).astype({"frame": np.int64} | dict.fromkeys(_NUMBERS, float))
+    columns = ["frame", "vehicle", "detection_id", "motion", "whole", *SIGHTING_NUMBERS]
+    return rows.reindex(columns=columns).astype({"frame": np.int64} | dict.fromkeys(SIGHTING_NUMBERS, float))
 
 
 def _alarms(seen: pd.DataFrame) -> pd.DataFrame:

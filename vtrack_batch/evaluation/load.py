@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -61,14 +61,15 @@ def load_result(out: str | Path) -> Result:
         return _tables_result(folder)
     raise ConfigError(
         f"{out}: not a result folder; looked for {out / 'current'}, for {out / 'frames'}, "
-        f"and for {' or '.join(f'{name}.parquet' for name in _TRACKED)}"
+        f"and for {' or '.join(f'{name}.parquet' for name in _TRACKED)}; "
+        "`vtrack-batch evaluate --help` says what serves"
     )
 
 
 def load_truth(place: str | Path, *, time_zone: str | None = None) -> Truth:
     """Read a truth, known by its files (in *place* or its ``truth``), or by the head line of the file *place*.
 
-    The contract's tables as ``simulate`` writes them, or a published result; a rendered archive's or KIT's CSV files;
+    Declared tables as ``simulate`` writes them, or a published result; a rendered archive's or KIT's CSV files;
     MOTChallenge's gt.txt, boxes without a head line (SkySat), geo-trax's CSV; a Parquet table of detections with
     ``truth_vehicle``. *time_zone* is that of local times (geo-trax). Raises ``ConfigError`` where nothing is found.
     """
@@ -79,13 +80,13 @@ def load_truth(place: str | Path, *, time_zone: str | None = None) -> Truth:
     for at in (folder, folder / "truth"):
         for layout, names in _FILES.items():
             if all((at / name).is_file() for name in names):
-                tables = _contract_tables(at) if layout == "tables" else {}
+                tables = _declared_tables(at) if layout == "tables" else {}
                 return READERS[layout](tables | _csv_tables(at))
         for name in ("gt.txt", "gt/gt.txt", "tracks.csv", "geotrax.csv"):
             if (at / name).is_file() and (truth := _file_truth(at / name, time_zone)) is not None:
                 return truth
     if (snapshot := _snapshot(folder)) is not None:
-        return READERS["tables"](_contract_tables(snapshot) | _csv_tables(snapshot))
+        return READERS["tables"](_declared_tables(snapshot) | _csv_tables(snapshot))
     looked = "; ".join(f"{layout}: {', '.join(names)}" for layout, names in _FILES.items())
     raise ConfigError(
         f"{place}: no truth found here nor in {folder / 'truth'}; looked for {looked}; mot: gt.txt; "
@@ -147,8 +148,8 @@ def _result(tables: Mapping[str, pd.DataFrame]) -> Result:
     return Result(frames, detections, points, trajectories, od_pairs, turns, quarantine, matches, flows)
 
 
-def _contract_tables(folder: Path) -> dict[str, pd.DataFrame]:
-    """Read the contract's tables: one file each as ``simulate`` writes them, or a snapshot's folders."""
+def _declared_tables(folder: Path) -> dict[str, pd.DataFrame]:
+    """Read declared tables: one file each as ``simulate`` writes them, or a snapshot's folders."""
     more = {"detections": ("vehicle_id", "standing_s", "luminance", "visible_share")}
     tables = {
         name: _read(name, [folder / f"{name}.parquet", *sorted((folder / name).rglob("*.parquet"))], more.get(name, ()))
@@ -194,7 +195,10 @@ def _boxes(path: Path) -> pd.DataFrame:
     except (OSError, ValueError) as problem:
         raise UnusableData(f"{path}: cannot be read ({problem})") from None
     if rows.shape[1] < 6 or not all(pd.api.types.is_numeric_dtype(rows[c]) for c in range(6)):
-        raise UnusableData(f"{path}: not boxes; expected numbers: frame, id, left, top, width, height")
+        first = ", ".join(map(str, rows.iloc[0])) if len(rows) else "nothing"
+        raise UnusableData(
+            f"{path}: not boxes; expected numbers: frame, id, left, top, width, height, found in its first row: {first}"
+        )
     rows = rows.reindex(columns=range(7)).set_axis(["frame", "id", *BOX, "flag"], axis=1)
     return rows.astype({"frame": np.int64} | dict.fromkeys(BOX, float))
 
@@ -221,9 +225,16 @@ def _csv(path: Path, columns: Sequence[str] | None) -> pd.DataFrame:
         rows = pd.read_csv(path)
     except (OSError, ValueError) as problem:
         raise UnusableData(f"{path}: cannot be read ({problem})") from None
-    if lacking := [name for name in columns or () if name not in rows.columns]:
-        raise UnusableData(f"{path}: columns missing: {', '.join(lacking)}")
+    _require(columns or (), rows.columns, path)
     return rows
+
+
+def _require(columns: Iterable[str], held: Iterable[str], path: Path) -> None:
+    """Raise ``UnusableData`` that names those of *columns* that a file does not hold."""
+    there = list(map(str, held))
+    if lacking := [name for name in columns if name not in there]:
+        found = ", ".join(there) or "none"
+        raise UnusableData(f"{path}: columns missing: {', '.join(lacking)}; of those that are read it has: {found}")
 
 
 def _read(name: str, paths: Sequence[Path], more: Sequence[str] = (), *, strict: bool = True) -> pd.DataFrame:
@@ -238,8 +249,7 @@ def _read(name: str, paths: Sequence[Path], more: Sequence[str] = (), *, strict:
     needed = {column.name for column in columns if not column.nullable}
     needed = needed if strict else _NEEDED.get(name, needed & {"vehicle_id", "t_utc", "x_m", "y_m"})
     for path, part in parts:
-        if lacking := sorted(needed - set(part.columns)):
-            raise UnusableData(f"{path}: columns missing: {', '.join(lacking)}")
+        _require(sorted(needed), part.columns, path)
     if not strict:
         kinds = {name: "float64" if kind == "bool" else kind for name, kind in kinds.items()}
     whole = [part.reindex(columns=list(kinds)).astype(kinds) for _, part in parts if len(part)]

@@ -68,9 +68,13 @@ def pair_by_id(found: pd.DataFrame, scene: Scene) -> Paired:
     Raises ``UnusableData`` where ids repeat from frame to frame.
     """
     found, true = found.reset_index(drop=True), scene.true.copy()
-    first = true.drop_duplicates("detection_id")
-    if len(first) < len(true.drop_duplicates(["frame", "detection_id"])):
-        raise UnusableData("the truth's detection ids repeat: give the detections of one sequence only")
+    first, seen = true.drop_duplicates("detection_id"), true.drop_duplicates(["frame", "detection_id"])
+    if len(first) < len(seen):
+        twice = seen.loc[seen["detection_id"].duplicated(), "detection_id"].iloc[0]
+        raise UnusableData(
+            f"the truth's detection ids repeat from frame to frame, such as {twice!r}: give the detections of one "
+            "sequence only"
+        )
     at = pd.Index(first["detection_id"]).get_indexer(found["detection_id"])
     j = np.where(at >= 0, first.index.to_numpy()[at], -1) if len(first) else at
     i = np.flatnonzero(j >= 0)

@@ -10,14 +10,10 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from vtrack_batch.evaluation.params import EvaluationParams
-from vtrack_batch.evaluation.sides import Plane, Result, Truth
+from vtrack_batch.evaluation.sides import SIGHTING_NUMBERS, Plane, Result, Truth
 
 POSITION = {"frame": ["col_px", "row_px"], "ground": ["x_m", "y_m"]}
 UNIT = {"frame": "px", "ground": "m"}
-_KNOWN = (
-    "col_px", "row_px", "x_m", "y_m", "length_px", "length_m", "speed_mps", "standing_s", "luminance", "shadowed",
-    "gap_m", "gap_px",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -59,7 +55,7 @@ def make_scene(
 
     told = truth.sightings
     true = on_frames(told[told["detection_id"].notna()] if detected_only else told, "vehicle")
-    true = true.assign(**{name: np.nan for name in _KNOWN if name not in true})
+    true = true.assign(**{name: np.nan for name in SIGHTING_NUMBERS if name not in true})
     length = true[f"length_{UNIT[plane]}"].astype(float)
     gate = params.gate_px if plane == "frame" else params.gate_m
     true = placed(true, plane).assign(gate=(params.gate_share_of_length * length).fillna(gate), boxed=length.notna())

@@ -14,6 +14,12 @@ Plane = Literal["frame", "ground"]
 ENDS_NOT_PLACES = ("unknown", "parked")
 """Origins and destinations that say that the place is not known."""
 
+SIGHTING_NUMBERS = (
+    "col_px", "row_px", "x_m", "y_m", "length_px", "length_m", "speed_mps", "standing_s", "luminance", "shadowed",
+    "gap_m", "gap_px",
+)  # fmt: skip
+"""What a truth may tell of a sighting in numbers; NaN where it does not."""
+
 
 @dataclass(frozen=True)
 class Result:
@@ -48,7 +54,7 @@ class Truth:
     vehicle's body), ``whole`` (whether the body lies inside the frame), ``detection_id``. ``parked``: ``frame``,
     ``col_px``, ``row_px`` and, if known, ``x_m``, ``y_m`` of parked cars. ``ignore``: ``frame``, ``left``, ``top``,
     ``width``, ``height`` in pixels. ``alarms``: ``frame``, ``detection_id``, ``x_m``, ``y_m`` of detections that are no
-    vehicle. The other tables are the contract's own, empty where the layout has none.
+    vehicle. The other tables are as declared, empty where the layout has none.
     """
 
     layout: Layout

@@ -70,11 +70,17 @@ def find_fix(
     if tags is not None and not stated and params.source != "world_file":
         return fix_from_geotags(tags, params, *size)
     if params.source == "geotiff":
-        raise ConfigError("georeference.source is geotiff, but the reference frame carries no georeference")
+        raise ConfigError(
+            "georeference.source is geotiff, but the reference frame carries no georeference; set source to auto, or "
+            "give GeoTIFF frames"
+        )
     if world_file is not None and not stated:
         return fix_from_world_file(world_file, params, *size)
     if params.source == "world_file":
-        raise ConfigError("georeference.source is world_file, but there is none beside the reference frame")
+        raise ConfigError(
+            "georeference.source is world_file, but there is none beside the reference frame; put one there under the "
+            "frame's name, or set source to auto"
+        )
     return fix_from_scale(params, *size)
 
 
@@ -212,9 +218,9 @@ def _six_numbers(world_file: WorldFile) -> list[float]:
         try:
             number = float(line.replace(",", "."))
         except ValueError:
-            raise ConfigError(f"{world_file.name}, line {at}: {line!r} is not a number") from None
+            raise ConfigError(f"{world_file.name}, line {at}: expected a number, found {line!r}") from None
         if not np.isfinite(number):
-            raise ConfigError(f"{world_file.name}, line {at}: {line!r} is not finite")
+            raise ConfigError(f"{world_file.name}, line {at}: expected a finite number, found {line!r}")
         numbers.append(number)
     if len(lines) != 6:
         raise ConfigError(f"{world_file.name}: a world file has 6 lines of one number each, this one has {len(lines)}")
@@ -225,10 +231,16 @@ def _require_plane(matrix: NDArray[np.float64], name: str) -> None:
     area = abs(float(np.linalg.det(matrix[:2, :2])))
     size = float(np.abs(matrix[:2, :2]).max())
     if not np.isfinite(matrix).all() or area <= 1e-9 * size * size:
-        raise ConfigError(f"{name}: its pixels have no area")
+        raise ConfigError(
+            f"{name}: its pixels have no area (a column leads to {matrix[0, 0]:g}, {matrix[1, 0]:g}, a row to "
+            f"{matrix[0, 1]:g}, {matrix[1, 1]:g}); correct it"
+        )
 
 
 def _require_view(matrix: NDArray[np.float64], width_px: int, height_px: int) -> None:
     depth = homography.corners(width_px, height_px) @ matrix[2, :2] + matrix[2, 2]
     if (depth <= 0).any():
-        raise ConfigError("the control points put part of the frame beyond the horizon: check them")
+        raise ConfigError(
+            "the control points put part of the frame beyond the horizon: check each point's col_px, row_px, x_m and "
+            "y_m, or give more of them near the frame's corners"
+        )

@@ -58,11 +58,7 @@ def pairs_within(a_xy: Array, b_xy: Array, radius: float, *, p: float, limit: in
     """Return row numbers of all pairs of points within *radius* in the 2- or the infinity-norm, sorted by both."""
     if not (len(a_xy) and len(b_xy)):
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    low, side = b_xy.min(axis=0), max(radius, 1e-9)
-    band = np.floor((b_xy[:, 1] - low[1]) / side).astype(np.int64)
-    order = np.lexsort((b_xy[:, 0], band))
-    bands = _Bands(order, np.ascontiguousarray(b_xy[order]), band[order], np.array([low[1], side]))
-    given = (np.ascontiguousarray(a_xy, float), bands, radius, p == np.inf)
+    given = (np.ascontiguousarray(a_xy, float), in_bands(b_xy, radius), radius, p == np.inf)
     nothing = np.zeros(0, np.int64)
     count = _near(*given, nothing, nothing)
     if int(count.sum()) > limit:
@@ -75,8 +71,8 @@ def pairs_within(a_xy: Array, b_xy: Array, radius: float, *, p: float, limit: in
     return np.repeat(np.arange(len(a_xy)), count), near
 
 
-class _Bands(NamedTuple):
-    """Points in horizontal bands as high as the radius, by x in each (a named tuple, because compiled code reads it).
+class Bands(NamedTuple):
+    """Points in horizontal bands as high as a radius, by x in each (a named tuple, because compiled code reads it).
 
     ``order`` (m,) are their rows, ``xy`` (m, 2) and ``band`` (m,) sorted by it; ``origin`` is y and height of band 0.
     """
@@ -87,8 +83,16 @@ class _Bands(NamedTuple):
     origin: Array
 
 
+def in_bands(xy: Array, radius: float) -> Bands:
+    """Sort points (m, 2), m > 0, so that those within *radius* of a place are found in three bands."""
+    low, side = xy[:, 1].min(), max(radius, 1e-9)
+    band = np.floor((xy[:, 1] - low) / side).astype(np.int64)
+    order = np.lexsort((xy[:, 0], band))
+    return Bands(order, np.ascontiguousarray(xy[order]), band[order], np.array([low, side]))
+
+
 @njit(cache=True, nogil=True)
-def _span(bands, band, low_x):  # type: ignore[no-untyped-def]
+def span_from(bands, band, low_x):  # type: ignore[no-untyped-def]
     """First point of *band* that is not left of *low_x*."""
     lo, hi = 0, len(bands.band)
     while lo < hi:
@@ -101,13 +105,42 @@ def _span(bands, band, low_x):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
+def others_near(i, xy, bands, other, rx, ry):  # type: ignore[no-untyped-def]
+    """Write which points but *i* are within the radius of the *bands* of all of *xy*, and where from *i*.
+
+    Returns how many there are; *other*, *rx* and *ry* have room for all.
+    """
+    count, far = 0, bands.origin[1]
+    middle = int(np.floor((xy[i, 1] - bands.origin[0]) / far))
+    for band in range(middle - 1, middle + 2):
+        for s in range(span_from(bands, band, xy[i, 0] - far), len(bands.band)):
+            x, y = bands.xy[s, 0] - xy[i, 0], bands.xy[s, 1] - xy[i, 1]
+            if bands.band[s] != band or x > far:
+                break
+            if x * x + y * y <= far * far and bands.order[s] != i:
+                other[count], rx[count], ry[count] = bands.order[s], x, y
+                count += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+def bell(z):  # type: ignore[no-untyped-def]
+    """exp(-z / 2) for 0 <= z <= 50, as (exp(-z / 2048))^1024: nothing but products, which go side by side."""
+    u = z / 2048
+    y = 1 - u * (1 - u * (1 / 2 - u * (1 / 6 - u / 24)))
+    for _ in range(10):
+        y *= y
+    return y
+
+
+@njit(cache=True, nogil=True)
 def _near(a, bands, radius, box, start, near):  # type: ignore[no-untyped-def]
     """Count the points near each of *a*; write their rows into *near* from ``start[i]`` on, unless it is empty."""
     count = np.zeros(len(a), np.int64)
     for i in range(len(a)):
         middle = int(np.floor((a[i, 1] - bands.origin[0]) / bands.origin[1]))
         for band in range(middle - 1, middle + 2):
-            for s in range(_span(bands, band, a[i, 0] - radius), len(bands.band)):
+            for s in range(span_from(bands, band, a[i, 0] - radius), len(bands.band)):
                 dx, dy = bands.xy[s, 0] - a[i, 0], bands.xy[s, 1] - a[i, 1]
                 if bands.band[s] != band or dx > radius:
                     break

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from vtrack_batch.matching.candidates import Array, Edges, Index
+from vtrack_batch.matching.candidates import Array, Edges, Index, bell
 from vtrack_batch.matching.params import ColourParams
 from vtrack_batch.matching.relaxation import Labels
 
@@ -135,15 +135,22 @@ def _log_ratios(first, second, log_random, noise):  # type: ignore[no-untyped-de
 
 @njit(cache=True, nogil=True)
 def _log_mixture(seen, population, noise):  # type: ignore[no-untyped-def]
-    out = np.empty(len(seen))
+    """Log density (n,) of colours *seen* (n, 3) among those of a *population* (s, 3), both in opponent axes."""
+    size = len(population)
+    light, red, blue = population[:, 0].copy(), population[:, 1].copy(), population[:, 2].copy()
+    out, near = np.empty(len(seen)), np.zeros(size + 4)
+    per_chroma = 1 / (2 * noise[2] ** 2)
     for n in range(len(seen)):
-        v_light = 2 * (noise[0] ** 2 + (noise[1] * seen[n, 0]) ** 2)
-        v_chroma = 2 * noise[2] ** 2
-        total = 1e-12
-        for s in range(len(population)):
-            z = (seen[n, 0] - population[s, 0]) ** 2 / v_light
-            z += ((seen[n, 1] - population[s, 1]) ** 2 + (seen[n, 2] - population[s, 2]) ** 2) / v_chroma
-            if z < FARTHEST:
-                total += np.exp(-0.5 * z)
-        out[n] = np.log(total / len(population)) - 0.5 * np.log(v_light) - np.log(v_chroma) - 1.5 * np.log(2 * np.pi)
+        v_light, (x, y, z) = 2 * (noise[0] ** 2 + (noise[1] * seen[n, 0]) ** 2), seen[n]
+        per_light = 1 / v_light
+        for s in range(size):
+            square = (light[s] - x) ** 2 * per_light + ((red[s] - y) ** 2 + (blue[s] - z) ** 2) * per_chroma
+            close = bell(min(square, FARTHEST))
+            near[s] = close if square < FARTHEST else 0.0
+        sums = (0.0, 0.0, 0.0, 0.0)
+        for s in range(0, size, 4):  # four sums beside one another need not wait for each other
+            sums = (sums[0] + near[s], sums[1] + near[s + 1], sums[2] + near[s + 2], sums[3] + near[s + 3])
+        total = 1e-12 + sums[0] + sums[1] + sums[2] + sums[3]
+        log_peak = -0.5 * np.log(v_light) + np.log(per_chroma) - 1.5 * np.log(2 * np.pi)
+        out[n] = np.log(total / size) + log_peak
     return out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
@@ -74,17 +75,21 @@ def _first_of_each(values: Index) -> Index:
     return np.sort(np.unique(values, return_index=True)[1])
 
 
-def _best_other(end: Index, worth: Array) -> Array:
-    """Return for every pair the greatest worth of the other pairs at its *end*, 0 where there is none."""
-    order = np.lexsort((-worth, end))
-    start = np.flatnonzero(np.r_[True, np.diff(end[order]) != 0])
-    size = np.diff(np.r_[start, len(end)])
-    best, second = worth[order[start]], np.zeros(len(start))
-    several = size > 1
-    second[several] = worth[order[start[several] + 1]]
-    is_best = np.zeros(len(end), bool)
-    is_best[order[start]] = True
-    return np.where(is_best, second[end], best[end])
+@njit(cache=True, nogil=True)
+def _best_other(end, worth):  # type: ignore[no-untyped-def]
+    """Return for every pair the greatest worth (> 0) of the other pairs at its *end*, 0 where there is none."""
+    size = end.max() + 1
+    best, second, which = np.zeros(size), np.zeros(size), np.full(size, -1)
+    for e in range(len(end)):
+        at = end[e]
+        if worth[e] > best[at]:
+            best[at], second[at], which[at] = worth[e], best[at], e
+        elif worth[e] > second[at]:
+            second[at] = worth[e]
+    out = np.empty(len(end))
+    for e in range(len(end)):
+        out[e] = second[end[e]] if which[end[e]] == e else best[end[e]]
+    return out
 
 
 def _solved(row: Index, col: Index, worth: Array) -> Index:

@@ -12,13 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from vtrack_batch.matching.candidates import Array, Edges, Index, pairs_within
-from vtrack_batch.matching.flow import FlowMap
+from vtrack_batch.matching.candidates import Array, Bands, Edges, Index, bell, in_bands, others_near
+from vtrack_batch.matching.local_flow import LocalFlow
 
 UNKNOWN = -99.0
 STILL_M = 2.0  # displacements below this have no direction
 NEAR_M = 90.0  # neighbours farther than this are not asked
 SCALES = np.array([[15.0, 3.0], [60.0, 8.0]])  # of place, along and across the motion (Gaussian sigma)
+FARTHEST = 9.0  # squared distance of a neighbour, in standard deviations, up to which it is heard
+NOTHING = 50.0  # squared distance, in standard deviations, from which on a vote adds nothing
 LANE_M, GAP_M = 2.2, 3.5  # vehicles of one lane: so near across; so far apart at least along
 
 BASE = (
@@ -59,36 +61,31 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """Who is near whom in both images: found once, asked in every round."""
+    """The vehicles of both images, sorted so that the neighbours of each are found, and how far the nearest one is.
 
-    earlier: tuple[Index, Index]
-    later: tuple[Index, Index]
+    ``spacing`` (n + m,) metres, ``NEAR_M`` at most.
+    """
+
+    earlier: Bands
+    later: Bands
     spacing: Array
 
     @classmethod
     def of(cls, earlier_xy: Array, later_xy: Array) -> Surroundings:
-        """Find the neighbours of points (n, 2) and (m, 2)."""
-        found, spacing = [], []
-        for xy in (earlier_xy, later_xy):
-            a, b = pairs_within(xy, xy, NEAR_M, p=2, limit=50_000_000)
-            a, b = a[a != b], b[a != b]
-            found.append((np.searchsorted(a, np.arange(len(xy) + 1)), b))
-            nearest = np.full(len(xy), NEAR_M)
-            np.minimum.at(nearest, a, np.hypot(*(xy[a] - xy[b]).T))
-            spacing.append(nearest)
-        return cls(found[0], found[1], np.concatenate(spacing))
+        """Sort points (n, 2) and (m, 2), n > 0 and m > 0."""
+        bands = in_bands(earlier_xy, NEAR_M), in_bands(later_xy, NEAR_M)
+        spacing = _spacing(earlier_xy, bands[0]), _spacing(later_xy, bands[1])
+        return cls(*bands, np.concatenate(spacing))
 
 
 def base_features(
     edges: Edges,
     evidence: Evidence,
     around: Surroundings,
-    earlier_xy: Array,
-    later_xy: Array,
     *,
     heard: Array,
     elapsed_s: float,
-    flow_map: FlowMap | None,
+    flow: LocalFlow | None,
 ) -> Array:
     """Return the columns ``BASE`` (e, f) of the edges; *heard* are their columns ``HEARD`` by what Bayes' rule says."""
     length = np.hypot(*edges.displacement.T)
@@ -105,7 +102,7 @@ def base_features(
     colour = np.full(len(length), UNKNOWN) if evidence.log_colour is None else evidence.log_colour
     columns = [t, length, length / elapsed_s, evidence.log_density, spacing, evidence.log_odds, colour]
     columns += [evidence.log_prior - evidence.log_density, *_rivals(edges, evidence.log_odds), np.log(share + 1e-9)]
-    columns += [*_map_features(edges, flow_map, earlier_xy, later_xy, elapsed_s).T]
+    columns += [*_map_features(edges, flow).T]
     return np.column_stack([*columns, light, chroma, matched_all, jitter_all])
 
 
@@ -129,9 +126,13 @@ def heard_features(
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
     first_k = np.searchsorted(edges.k[order], np.arange(edges.m + 1))
-    a = _hear(asked, edges.i, d, p, edges.first, *around.earlier, earlier_xy, SCALES, spread)
+    a = _hear(asked, edges.i, d, p, edges.first, around.earlier, earlier_xy, SCALES, spread)
     # seen from the later image time runs backward
-    b = _hear(rank[asked], edges.k[order], -d[order], p[order], first_k, *around.later, later_xy, SCALES, spread)
+    by_owner = np.argsort(rank[asked], kind="stable")
+    b = np.empty_like(a)
+    b[by_owner] = _hear(
+        rank[asked[by_owner]], edges.k[order], -d[order], p[order], first_k, around.later, later_xy, SCALES, spread
+    )
     out = np.empty((len(asked), len(HEARD)))
     for s in range(len(SCALES)):
         at = 5 * s
@@ -191,67 +192,76 @@ def _best_other(owner, value):  # type: ignore[no-untyped-def]
     return out
 
 
-def _map_features(
-    edges: Edges, flow_map: FlowMap | None, earlier_xy: Array, later_xy: Array, elapsed_s: float
-) -> Array:
-    if flow_map is None or not len(flow_map.xy) or not len(edges):
-        return np.full((len(edges), 10), UNKNOWN)
-    return flow_map.evidence(earlier_xy[edges.i], later_xy[edges.k], elapsed_s)
+def _map_features(edges: Edges, flow: LocalFlow | None) -> Array:
+    return np.full((len(edges), 10), UNKNOWN) if flow is None or not len(edges) else flow.evidence(edges)
 
 
 @njit(cache=True, nogil=True)
-def _hear(asked, owner, d, p, first, near_start, near, xy, scales, spread):  # type: ignore[no-untyped-def]
-    """Sum over the edges of neighbours: weight, residual along and across, votes narrow and wide, per scale; lanes."""
-    out, place = np.zeros((len(asked), 13)), np.zeros(len(scales))
-    alive, voice = _alive(p, first)
+def _spacing(xy, bands):  # type: ignore[no-untyped-def]
+    other, rx, ry = np.empty(len(xy), np.int64), np.empty(len(xy)), np.empty(len(xy))
+    out = np.full(len(xy), NEAR_M * NEAR_M)
+    for i in range(len(xy)):
+        for c in range(others_near(i, xy, bands, other, rx, ry)):
+            out[i] = min(out[i], rx[c] * rx[c] + ry[c] * ry[c])
+    return np.sqrt(out)
+
+
+@njit(cache=True, nogil=True)
+def _hear(asked, owner, d, p, first, bands, xy, scales, spread):  # type: ignore[no-untyped-def]
+    """Sum over the edges of neighbours: weight, residual along and across, votes narrow and wide, per scale; lanes.
+
+    Edges are by owner, from ``first[i]`` on; so are those that are *asked* for.
+    """
+    out, (voices, voice) = np.zeros((len(asked), 13)), _voices(p, d, first)
+    other, rx, ry = np.empty(len(xy), np.int64), np.empty(len(xy)), np.empty(len(xy))
+    place, at_u, at_v = np.empty((len(scales), len(xy))), np.empty(len(xy)), np.empty(len(xy))
+    narrow, wide, i, count = 1 / spread[0] ** 2, 1 / spread[1] ** 2, -1, 0
     for at in range(len(asked)):
         e = asked[at]
-        i = owner[e]
+        if owner[e] != i:
+            i = owner[e]
+            count = _speaking(others_near(i, xy, bands, other, rx, ry), other, rx, ry, voices)
         length = np.hypot(d[e, 0], d[e, 1])
         still = length <= STILL_M
         ux, uy = (1.0, 0.0) if still else (d[e, 0] / length, d[e, 1] / length)
-        for s in range(near_start[i], near_start[i + 1]):
-            j = near[s]
-            if alive[j] == alive[j + 1]:
-                continue
-            rx, ry = xy[j, 0] - xy[i, 0], xy[j, 1] - xy[i, 1]
-            u, v = rx * ux + ry * uy, rx * uy - ry * ux
+        for c in range(count):
+            at_u[c], at_v[c] = rx[c] * ux + ry[c] * uy, rx[c] * uy - ry[c] * ux
+        for r in range(len(scales)):
+            # who stands has neighbours all around
+            along, across = (0.5 * scales[r, 0], 0.5 * scales[r, 0]) if still else (scales[r, 0], scales[r, 1])
+            for c in range(count):
+                z = (at_u[c] / along) ** 2 + (at_v[c] / across) ** 2
+                near = bell(min(z, FARTHEST))
+                place[r, c] = near if z <= FARTHEST else 0.0
+        for c in range(count):
+            u, v = at_u[c], at_v[c]
             in_lane = not still and abs(v) < LANE_M and abs(u) < 40
-            heard = False
-            for c in range(len(scales)):
-                if still:
-                    z = (rx * rx + ry * ry) / (0.5 * scales[c, 0]) ** 2
-                else:
-                    z = (u / scales[c, 0]) ** 2 + (v / scales[c, 1]) ** 2
-                place[c] = 0.0 if z > 9 else np.exp(-0.5 * z)
-                heard = heard or z <= 9
+            heard = place[0, c] > 0 or place[1, c] > 0
             if not (heard or in_lane):
                 continue
             broken, kept = 0.0, 0.0
-            for a in range(alive[j], alive[j + 1]):
-                f = voice[a]
-                dx, dy = d[f, 0] - d[e, 0], d[f, 1] - d[e, 1]
+            for f in range(voices[other[c]], voices[other[c] + 1]):
+                dx, dy = voice[f, 0] - d[e, 0], voice[f, 1] - d[e, 1]
                 along, across = dx * ux + dy * uy, dx * uy - dy * ux
                 if still:
                     along, across = np.hypot(dx, dy), 0.0
                 if heard:
                     square = dx * dx + dy * dy
-                    # beyond ten standard deviations there is nothing to add
-                    narrow = np.exp(-0.5 * square / spread[0] ** 2) if square < 100 * spread[0] ** 2 else 0.0
-                    wide = np.exp(-0.5 * square / spread[1] ** 2) if square < 100 * spread[1] ** 2 else 0.0
-                    for c in range(len(scales)):
-                        w = p[f] * place[c]
-                        out[at, 5 * c] += w
-                        out[at, 5 * c + 1] += w * along
-                        out[at, 5 * c + 2] += w * across
-                        out[at, 5 * c + 3] += w * narrow
-                        out[at, 5 * c + 4] += w * wide
+                    near = np.exp(-0.5 * square * narrow) if square * narrow < NOTHING else 0.0
+                    far = np.exp(-0.5 * square * wide) if square * wide < NOTHING else 0.0
+                    for r in range(len(scales)):
+                        w = voice[f, 2] * place[r, c]
+                        out[at, 5 * r] += w
+                        out[at, 5 * r + 1] += w * along
+                        out[at, 5 * r + 2] += w * across
+                        out[at, 5 * r + 3] += w * near
+                        out[at, 5 * r + 4] += w * far
                 if in_lane and abs(v + across) < LANE_M:
                     after = u + along
                     if after * u < 0 or abs(after) < GAP_M:
-                        broken += p[f]
+                        broken += voice[f, 2]
                     else:
-                        kept += p[f]
+                        kept += voice[f, 2]
             out[at, 10] += broken
             out[at, 11] += kept
             out[at, 12] = max(out[at, 12], broken)
@@ -259,13 +269,24 @@ def _hear(asked, owner, d, p, first, near_start, near, xy, scales, spread):  # t
 
 
 @njit(cache=True, nogil=True)
-def _alive(p, first):  # type: ignore[no-untyped-def]
-    """Return the edges of each owner that are not hopeless: start (n + 1,) and edge numbers."""
-    start, voice, at = np.zeros(len(first), np.int64), np.empty(len(p), np.int64), 0
+def _voices(p, d, first):  # type: ignore[no-untyped-def]
+    """Return displacement and probability of the edges that are not hopeless, by owner: start (n + 1,), and (v, 3)."""
+    start, voice, at = np.zeros(len(first), np.int64), np.empty((len(p), 3)), 0
     for j in range(len(first) - 1):
         for f in range(first[j], first[j + 1]):
             if p[f] >= 1e-3:
-                voice[at] = f
+                voice[at, 0], voice[at, 1], voice[at, 2] = d[f, 0], d[f, 1], p[f]
                 at += 1
         start[j + 1] = at
     return start, voice
+
+
+@njit(cache=True, nogil=True)
+def _speaking(count, other, rx, ry, voices):  # type: ignore[no-untyped-def]
+    """Keep, in place, those of *count* neighbours that have a voice; returns how many."""
+    kept = 0
+    for c in range(count):
+        if voices[other[c]] < voices[other[c] + 1]:
+            other[kept], rx[kept], ry[kept] = other[c], rx[c], ry[c]
+            kept += 1
+    return kept

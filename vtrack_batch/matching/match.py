@@ -11,6 +11,7 @@ from vtrack_batch.matching.candidates import Array, Edges, candidates
 from vtrack_batch.matching.colour import Paint, colour_labels, equal_labels, learned_noise
 from vtrack_batch.matching.features import Evidence
 from vtrack_batch.matching.flow import FlowMap
+from vtrack_batch.matching.local_flow import LocalFlow
 from vtrack_batch.matching.neighbours import Neighbours, labels_from, match_by_neighbours, neighbours_of
 from vtrack_batch.matching.params import ColourParams, MatchingParams, Method
 from vtrack_batch.matching.regions import pair_labels
@@ -56,8 +57,10 @@ def match(
     a, b = Vehicles.of(earlier, "earlier image"), Vehicles.of(later, "later image")
     reach_m = params.reach_m(elapsed_s, printed=chosen in PAPER)
     edges = candidates(a.xy, b.xy, reach_m, limit=params.max_candidate_pairs)
-    if flow_map is not None and chosen not in (*PAPER, "nearest", "regions"):
-        edges = edges.select(flow_map.possible(a.xy[edges.i], b.xy[edges.k], elapsed_s))
+    mapped = flow_map is not None and chosen not in (*PAPER, "nearest", "regions")
+    flow = flow_map.at(a.xy, b.xy, elapsed_s) if mapped and flow_map is not None else None
+    if flow is not None:
+        edges = edges.select(flow.possible(edges))
     if chosen in PAPER:
         labels = paper_labels(edges, a, b, elapsed_s, chosen, params)
     elif chosen == "regions":
@@ -65,10 +68,10 @@ def match(
     elif chosen == "nearest":
         labels = nearest_labels(edges)
     else:
-        labels, evidence = untrained_labels(edges, a, b, elapsed_s, params, flow_map, alone=chosen == "assignment")
+        labels, evidence = untrained_labels(edges, a, b, elapsed_s, params, flow, alone=chosen == "assignment")
     if chosen == "default":
         model = model_of(params.model)
-        p = link_probabilities(edges, evidence, a.xy, b.xy, elapsed_s=elapsed_s, flow_map=flow_map, model=model)
+        p = link_probabilities(edges, evidence, a.xy, b.xy, elapsed_s=elapsed_s, flow=flow, model=model)
         labels = labels_of(edges, p)
     rule = DECISION.get(chosen, "one_to_one") if params.decision == "method" else params.decision
     picked = getattr(decision, rule)(edges, labels)
@@ -92,7 +95,7 @@ def untrained_labels(
     b: Vehicles,
     elapsed_s: float,
     params: MatchingParams,
-    flow_map: FlowMap | None = None,
+    flow: LocalFlow | None = None,
     *,
     alone: bool = False,
 ) -> tuple[Labels, Evidence]:
@@ -102,7 +105,7 @@ def untrained_labels(
     *alone* every vehicle is judged without its neighbours: plain assignment on displacement and colour.
     """
     neighbours = None if alone else neighbours_of(edges, a.xy, b.xy, elapsed_s=elapsed_s, params=params.neighbours)
-    prior = place_density(edges, a.xy, elapsed_s, params, flow_map)
+    prior = place_density(edges, elapsed_s, params, flow)
 
     def judged(colour: ColourParams) -> tuple[Labels, Evidence]:
         log_colour = None
@@ -163,15 +166,10 @@ def nearest_labels(edges: Edges) -> Labels:
     return Labels(p, q, (sum_i == 0).astype(float), (sum_k == 0).astype(float))
 
 
-def place_density(
-    edges: Edges, earlier_xy: Array, elapsed_s: float, params: MatchingParams, flow_map: FlowMap | None
-) -> Array:
+def place_density(edges: Edges, elapsed_s: float, params: MatchingParams, flow: LocalFlow | None) -> Array:
     """Density (1/m2) of displacements before neighbours are asked: the place's own where it is known."""
     prior = displacement_density(edges, elapsed_s, params)
-    if flow_map is None:
-        return prior
-    weight = params.neighbours.prior_weight
-    return flow_map.mixed(prior, earlier_xy[edges.i], edges.displacement, elapsed_s, prior_weight=weight)
+    return prior if flow is None else flow.mixed(edges, prior, prior_weight=params.neighbours.prior_weight)
 
 
 def displacement_density(edges: Edges, elapsed_s: float, params: MatchingParams) -> Array:

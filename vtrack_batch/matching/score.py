@@ -31,7 +31,7 @@ from vtrack_batch.matching.features import (
     own_features,
     shares,
 )
-from vtrack_batch.matching.flow import FlowMap
+from vtrack_batch.matching.local_flow import LocalFlow
 from vtrack_batch.matching.relaxation import Labels
 from vtrack_batch.matching.trees import Trees
 
@@ -91,7 +91,7 @@ def link_probabilities(
     later_xy: Array,
     *,
     elapsed_s: float,
-    flow_map: FlowMap | None = None,
+    flow: LocalFlow | None = None,
     model: Model | None = None,
 ) -> Array:
     """Return the calibrated probability (e,) of every edge that both ends are one vehicle; points (n, 2), (m, 2)."""
@@ -102,7 +102,7 @@ def link_probabilities(
         kept, of_kept, found = edges.select(keep), evidence.select(keep), bayes[keep]
         around, xy = Surroundings.of(earlier_xy, later_xy), (earlier_xy, later_xy)
         heard = heard_features(kept, found, around, *xy, elapsed_s=elapsed_s)
-        base = base_features(kept, of_kept, around, *xy, heard=heard, elapsed_s=elapsed_s, flow_map=flow_map)
+        base = base_features(kept, of_kept, around, heard=heard, elapsed_s=elapsed_s, flow=flow)
         rounds = (model or model_of(None)).rounds
         found = rounds[0].probability(np.column_stack([base, heard]))
         for trees in rounds[1:]:

@@ -67,14 +67,15 @@ class Lesson:
         a, b, partner, _ = pair.read()
         dt, xy = pair.elapsed_s, (a.xy, b.xy)
         edges = candidates(*xy, params.reach_m(dt), limit=params.max_candidate_pairs)
-        if flow_map is not None:
-            edges = edges.select(flow_map.possible(a.xy[edges.i], b.xy[edges.k], dt))
-        evidence = untrained_labels(edges, a, b, dt, params, flow_map)[1]
+        flow = None if flow_map is None else flow_map.at(*xy, dt)
+        if flow is not None:
+            edges = edges.select(flow.possible(edges))
+        evidence = untrained_labels(edges, a, b, dt, params, flow)[1]
         share = shares(edges, evidence.log_odds)
         keep = worth_scoring(evidence, share)
         edges, evidence, around = edges.select(keep), evidence.select(keep), Surroundings.of(*xy)
         heard = heard_features(edges, share[keep], around, *xy, elapsed_s=dt)
-        base = base_features(edges, evidence, around, *xy, heard=heard, elapsed_s=dt, flow_map=flow_map)
+        base = base_features(edges, evidence, around, heard=heard, elapsed_s=dt, flow=flow)
         return cls(group, dt, edges, xy, partner[edges.i] == edges.k, base, heard)
 
     def first_round(self) -> Array:

@@ -103,12 +103,11 @@ def _sums(x, first, threshold, left, value):  # type: ignore[no-untyped-def]
     for e in range(len(x)):
         bits[:] = np.uint32(0xFFFFFFFF)
         for column in range(x.shape[1]):
-            lo, size = first[column], first[column + 1] - first[column]
-            while size > 0:  # the first threshold that is not below the value
-                half = size // 2
-                lo, size = (lo + half + 1, size - half - 1) if threshold[lo + half] < x[e, column] else (lo, half)
-            if lo > first[column]:
-                row = left[lo + column]
+            below = 0  # how many thresholds are: to look at all of some forty is faster than to halve them
+            for s in range(first[column], first[column + 1]):
+                below += threshold[s] < x[e, column]
+            if below:
+                row = left[first[column] + column + below]
                 for t in range(len(bits)):
                     bits[t] &= row[t]
         total = 0.0

@@ -36,18 +36,18 @@ class Vehicles:
     @classmethod
     def of(cls, detections: pd.DataFrame, name: str) -> Vehicles:
         """Read and check *detections*; sort by place and id. Raises ``UnusableData`` on what cannot be used."""
-        checked = check(detections, name)
-        xy = np.column_stack([checked["x_m"].to_numpy(float), checked["y_m"].to_numpy(float)])
-        rank = pd.factorize(checked["detection_id"], sort=True)[0]
+        ids, numbers = _read(detections, name)
+        xy = np.column_stack([numbers["x_m"], numbers["y_m"]])
         # in strips, so that what is near on the ground is near in memory
-        order = np.lexsort((rank, xy[:, 1], xy[:, 0], np.floor(xy[:, 1] / STRIP_M)))
+        keys = xy[:, 1], xy[:, 0], np.floor(xy[:, 1] / STRIP_M)
+        order = np.lexsort(keys)
+        if (xy[order[1:]] == xy[order[:-1]]).all(axis=1).any():
+            order = np.lexsort((pd.factorize(ids, sort=True)[0], *keys))
         xy = xy[order]
-        coloured = set(COLOUR) <= set(checked.columns)
-        rgb = np.column_stack([checked[c].to_numpy(float) for c in COLOUR])[order] if coloured else None
+        rgb = np.column_stack([numbers[c] for c in COLOUR])[order] if len(numbers) > 2 else None
         refuse_heaps(xy, np.zeros(len(xy), np.int64), name)
-        velocity = measured_velocity(checked)
-        ids = checked["detection_id"].iloc[order].reset_index(drop=True)
-        return cls(ids, xy, rgb, None if velocity is None else velocity[order])
+        velocity = measured_velocity(detections)
+        return cls(pd.Series(ids.array.take(order)), xy, rgb, None if velocity is None else velocity[order])
 
 
 def refuse_heaps(xy: Array, frame: NDArray[np.int64], name: str) -> None:
@@ -55,6 +55,8 @@ def refuse_heaps(xy: Array, frame: NDArray[np.int64], name: str) -> None:
 
     Such heaps come of wrong units, and the work on them grows with the fourth power of their size.
     """
+    if len(xy) <= HEAP_MOST:
+        return
     cells = np.column_stack([frame, np.floor(xy / HEAP_M).astype(np.int64)])
     found, at, count = np.unique(cells, axis=0, return_index=True, return_counts=True)
     if len(found) and count.max() > HEAP_MOST:
@@ -76,26 +78,31 @@ def measured_velocity(rows: pd.DataFrame) -> Array | None:
 
 def check(detections: pd.DataFrame, name: str, extra: tuple[str, ...] = ()) -> pd.DataFrame:
     """Return *detections* with integer ids as nullable integers; raise ``UnusableData`` with all that is wrong."""
+    ids = _read(detections, name, extra)[0]
+    return detections if ids is detections["detection_id"] else detections.assign(detection_id=ids)
+
+
+def _read(detections: pd.DataFrame, name: str, extra: tuple[str, ...] = ()) -> tuple[pd.Series[Any], dict[str, Array]]:
+    """Return ids, integers as nullable ones, and the columns of numbers; raise ``UnusableData`` with all faults."""
     missing = [c for c in ("detection_id", "x_m", "y_m", *extra) if c not in detections.columns]
     if missing:
         raise UnusableData(f"{name}: the columns {', '.join(missing)} are missing")
-    colours = [c for c in COLOUR if c in detections.columns]
-    faults = []
-    for column in ("x_m", "y_m", *(colours if len(colours) == len(COLOUR) else [])):
-        if not pd.api.types.is_numeric_dtype(detections[column]):
+    faults, numbers = [], {}
+    for column in ("x_m", "y_m", *(COLOUR if set(COLOUR) <= set(detections.columns) else [])):
+        values = detections[column]
+        if not pd.api.types.is_numeric_dtype(values.dtype):
             faults.append(f"{column} is not numeric")
             continue
-        bad = int((~np.isfinite(detections[column].to_numpy(float, na_value=np.nan))).sum())
+        numbers[column] = values.to_numpy(float, na_value=np.nan)
+        bad = len(values) - int(np.isfinite(numbers[column]).sum())
         if bad:
             faults.append(f"{column} is missing or not finite in {bad} rows")
     ids = detections["detection_id"]
-    if ids.isna().any():
-        faults.append(f"detection_id is missing in {int(ids.isna().sum())} rows")
-    repeated = int(ids.duplicated().sum())
+    absent, repeated = int(ids.isna().sum()), len(ids) - len(pd.unique(ids))
+    if absent:
+        faults.append(f"detection_id is missing in {absent} rows")
     if repeated:
         faults.append(f"detection_id is repeated in {repeated} rows, first {ids[ids.duplicated()].iloc[0]!r}")
     if faults:
         raise UnusableData(f"{name}: " + "; ".join(faults))
-    if pd.api.types.is_integer_dtype(ids.dtype):
-        return detections.assign(detection_id=ids.astype("Int64"))
-    return detections
+    return ids.astype("Int64") if pd.api.types.is_integer_dtype(ids.dtype) else ids, numbers

@@ -32,7 +32,10 @@ class GroundGrid:
         Raises `UnusableData` where that is more than 2 gigapixels, or where a point lies at infinity.
         """
         if not np.isfinite(corners_m).all():
-            raise UnusableData("the ground picture would reach to infinity: the georeference shows the horizon")
+            raise UnusableData(
+                "the ground picture would reach to infinity: by the georeference the horizon is in view; check the "
+                "control points, or take frames that look less aslant"
+            )
         # A corner that lies on an edge but for rounding must not cost a row of empty pixels.
         slack = 1e-6
         left, bottom = np.floor(corners_m.min(axis=0) / gsd_m + slack)
@@ -47,9 +50,3 @@ class GroundGrid:
         """The map (3, 3) from pixels, (0, 0) = centre of the first, to ground metres."""
         g = self.gsd_m
         return np.array([[g, 0, self.x_min_m + g / 2], [0, -g, self.y_max_m - g / 2], [0, 0, 1]])
-
-    @property
-    def to_pixel(self) -> NDArray[np.float64]:
-        """The map (3, 3) from ground metres to pixels."""
-        g = self.gsd_m
-        return np.array([[1 / g, 0, -self.x_min_m / g - 0.5], [0, -1 / g, self.y_max_m / g - 0.5], [0, 0, 1]])

@@ -131,7 +131,8 @@ def _ground(survey: Survey, first: pd.Series, sizes: list[tuple[int, int]], prob
 
 def _told(fix: GroundFix, size_px: tuple[int, int]) -> dict[str, Any]:
     gsd_m = [round(gsd, 4) for gsd in fix.gsd_m]
-    return {
+    told = {} if not fix.left_out else {"control_points_left_out": [f"number {n + 1}" for n in fix.left_out]}
+    return told | {
         "from": fix.method,
         "crs": fix.crs or "local metres",
         "gsd_m": gsd_m,

@@ -41,7 +41,10 @@ def explain(survey: Survey, what: str | None = None) -> list[Explanation]:
         lost = prepared.index.quarantine
         rows = lost.loc[lost["path"] == what]
         if rows.empty:
-            raise ConfigError(f"{what!r} is no piece of work, sequence, date or frame of this survey")
+            raise ConfigError(
+                f"{what!r} is no piece of work, sequence, date or frame of this survey; `explain` without it lists all "
+                "that is due"
+            )
         row = rows.iloc[0]
         return [Explanation("index", what, f"set aside: {row['reason']}", (str(row["detail"]),))]
     changes = tuple(changed_parameters(prepared)) if due else ()

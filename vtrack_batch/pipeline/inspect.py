@@ -39,7 +39,10 @@ def inspect_frame(survey: Survey, what: str) -> tuple[Any, str]:
         quarantine = results["quarantine"]
         rows = quarantine.loc[quarantine["path"] == what]
         if rows.empty:
-            raise ConfigError(f"{what!r} is neither a table, nor the path or id of a frame of this survey")
+            raise ConfigError(
+                f"{what!r} is neither a table, nor the path or id of a frame of this survey; "
+                "`inspect SURVEY frames` lists its frames"
+            )
         facts = dict(rows.iloc[0])
     else:
         facts = {key: value for key, value in found.items() if key != "sha256"}
@@ -56,7 +59,9 @@ def write_ortho(survey: Survey, what: str, to: Path | None) -> Path:
     results = _results(survey)
     found = _frame(results["frames"], what)
     if found is None:
-        raise ConfigError(f"{what!r} is not the path or id of a frame of this survey")
+        raise ConfigError(
+            f"{what!r} is not the path or id of a frame of this survey; `inspect SURVEY frames` lists its frames"
+        )
     pose = results["registrations"].merge(results["references"], on="reference_frame_id")
     pose = pose.loc[(pose["frame_id"] == found["frame_id"]) & pose["accepted"]]
     if pose.empty:

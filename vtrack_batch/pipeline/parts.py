@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -58,9 +58,9 @@ class Context:
             self.hand.take(ref.path)
 
 
-def read(parts: Iterable[Part], name: str) -> pd.DataFrame:
-    """Return the rows of the table *name* over *parts*."""
-    return read_table([part.file(f"{name}.parquet") for part in parts], TABLES[name])
+def read(parts: Iterable[Part], name: str, columns: Sequence[str] | None = None) -> pd.DataFrame:
+    """Return the rows of the table *name* over *parts*, all columns unless some are named."""
+    return read_table([part.file(f"{name}.parquet") for part in parts], TABLES[name], columns)
 
 
 def write(folder: Path, tables: Mapping[str, pd.DataFrame], crs: str | None = None) -> None:

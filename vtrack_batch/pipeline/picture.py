@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -13,7 +14,9 @@ from vtrack_batch.archive.read import read_bytes
 from vtrack_batch.errors import UnusableFrame
 from vtrack_batch.pipeline.parts import Context, matrices_of, read
 from vtrack_batch.pipeline.plan import FrameRef, Piece
+from vtrack_batch.pipeline.publish import ON_PAGE
 from vtrack_batch.report.pictures import AnnotatedFrame, frame_strip, trajectory_map
+from vtrack_batch.report.summary import page_picture
 from vtrack_batch.storage.geotiff import merge_geotiffs
 from vtrack_batch.traffic.zones import parse_zones
 
@@ -39,14 +42,20 @@ def draw_sequence(piece: Piece, context: Context) -> None:
                 title = f"{context.survey.survey.name}: {piece.name}"
                 to_ground = matrices_of("g", first)[0]
                 picture = trajectory_map(pixels, to_ground, points, trajectories, zones, title=title)
-                (folder / "trajectories.png").write_bytes(picture)
+                _keep(folder, "trajectories", picture)
             strip = _strip(part_tables(part), points, refs, context)
             if strip:
-                (folder / "frames.png").write_bytes(frame_strip(strip))
+                _keep(folder, "frames", frame_strip(strip))
         grounds = [context.part(need).file("ground.tif") for need in tracked.needs]
         merge_geotiffs([path for path in grounds if path.exists()], folder / "ground.tif")
         summary = {"trajectories": len(trajectories), "track_points": len(points)}
         (folder / "about.json").write_text(json.dumps(summary, sort_keys=True) + "\n")
+
+
+def _keep(folder: Path, name: str, picture: bytes) -> None:
+    """Write a picture, and how the report shows it: made here, where many sequences are drawn at once."""
+    (folder / f"{name}.png").write_bytes(picture)
+    (folder / f"{name}{ON_PAGE}").write_bytes(page_picture(picture))
 
 
 def part_tables(part: object) -> dict[str, pd.DataFrame]:

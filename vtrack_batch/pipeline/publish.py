@@ -35,6 +35,9 @@ REPORT_DATES = 31
 REPORT_PICTURES = 12
 """Of these dates, the newest pictures; all are files beside the report."""
 
+ON_PAGE = ".page.jpg"
+"""Ends the names of pictures as the report shows them; they are in its page only."""
+
 Done = list[tuple[Piece, Part]]
 
 
@@ -136,6 +139,8 @@ def _table_links(sequences: Done, dates: Done) -> Iterator[tuple[str, tuple[Part
 def _picture_links(pictures: Done) -> Iterator[tuple[str, tuple[Part, str]]]:
     for piece, part in pictures:
         for name in part.files:
+            if name.endswith(ON_PAGE):
+                continue
             folder = "ground" if name.endswith(".tif") else "report"
             yield f"{folder}/{slug(piece.name)}-{name}", (part, name)
 
@@ -175,12 +180,13 @@ def _page(manifest: Mapping[str, Any], found: Contents) -> str:
     shown = {piece.name for piece, _ in found.dates[-REPORT_DATES:]}
     parts = [part for piece, part in found.dates if piece.name in shown]
     tables = {name: read(parts, name) for name in ("od_pairs", "turns", "speeds", "coverage", "stops")}
+    tables["trajectories"] = read(parts, "trajectories", ["flags"])
     pictures = [
-        (f"{piece.name} {name.removesuffix('.png')}", part.file(name))
+        (f"{piece.name} {name.removesuffix(ON_PAGE)}", part.file(name))
         for piece, part in found.pictures
         if date_of(piece) in shown
         for name in sorted(part.files)
-        if name.endswith(".png")
+        if name.endswith(ON_PAGE)
     ]
     images = {caption: file.read_bytes() for caption, file in pictures[-REPORT_PICTURES:]}
     return summary_page(dict(manifest), {**tables, "quarantine": found.quarantine}, images)

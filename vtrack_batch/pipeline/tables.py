@@ -119,7 +119,7 @@ def load_map(path: Path | None) -> FlowMap | None:
     if path is None:
         return None
     if not path.is_file():
-        raise ConfigError(f"{path}: no such file")
+        raise ConfigError(f"{path}: no such file; `vtrack-batch learn` makes a flow map")
     return FlowMap.load(path)
 
 
@@ -138,7 +138,7 @@ def _elapsed_s(before: pd.Timestamp | None, after: pd.Timestamp | None) -> float
         raise ConfigError("the time between the tables is not known: give --elapsed-s, or a column t_utc in both")
     elapsed_s = float((after - before).total_seconds())
     if elapsed_s <= 0:
-        raise ConfigError(f"the later table is not later: {elapsed_s} s between them")
+        raise ConfigError(f"the later table is {-elapsed_s:g} s earlier than the first: give them the other way round")
     return elapsed_s
 
 

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from vtrack_batch.model.flags import TrajectoryFlag, legend
+
 _ALL = "all"
 _MAX_MATRIX = 24
 _MAX_ROWS = 60
@@ -25,7 +27,7 @@ def warnings(manifest: Mapping[str, Any], tables: Mapping[str, pd.DataFrame]) ->
         texts.append(f"{lost} of {used + lost} frames could not be used; see Frames.")
     if manifest.get("zones_proposed"):
         texts.append(
-            "No zones were given: gates were proposed from where vehicles appear and disappear. "
+            "No zones were given: zones were proposed from where vehicles appear and disappear. "
             "Look at the map, correct the GeoJSON beside this page, and name it in the survey file."
         )
     unknown = _unknown_share(tables.get("od_pairs"))
@@ -55,6 +57,19 @@ def frames(manifest: Mapping[str, Any], tables: Mapping[str, pd.DataFrame]) -> s
     elif lost:
         rows.append(("set aside", lost, ""))
     return "<h2>Frames</h2>" + html_table(("", "frames", "for example"), rows)
+
+
+def trajectories(table: pd.DataFrame | None) -> str:
+    """Return how many trajectories there are, and how many of them carry each doubt; only ``flags`` is read."""
+    if table is None or table.empty:
+        return ""
+    flags = table["flags"].to_numpy(int)
+    rows: list[tuple[object, ...]] = [("all", len(flags), "")]
+    rows += [
+        (flag.name.replace("_", " "), int((flags & flag.bit > 0).sum()), flag.meaning)
+        for flag in legend(TrajectoryFlag)
+    ]
+    return "<h2>Trajectories</h2>" + html_table(("", "trajectories", "meaning"), rows)
 
 
 def od_pairs(table: pd.DataFrame | None) -> str:

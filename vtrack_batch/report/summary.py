@@ -48,13 +48,14 @@ def summary_page(manifest: Mapping[str, Any], tables: Mapping[str, pd.DataFrame]
 
     *manifest*: ``survey``, ``version``, ``crs``, ``time_zone``, ``frames`` (used, quarantined), ``zones_proposed``,
     each optional; *tables*: of the data dictionary, by name, each optional (od_pairs, turns, speeds, coverage, stops,
-    quarantine, trajectories are shown); *pictures*: images by caption, embedded as JPEG of at most 1600 px.
+    quarantine, trajectories are shown); *pictures*: what `page_picture` made, by caption, embedded as they are.
     """
     zone = str(manifest.get("time_zone") or "UTC")
     parts = [
         sections.warnings(manifest, tables),
         sections.frames(manifest, tables),
         _figures(pictures),
+        sections.trajectories(tables.get("trajectories")),
         sections.od_pairs(tables.get("od_pairs")),
         sections.turns(tables.get("turns")),
         sections.speeds(tables.get("speeds")),
@@ -65,6 +66,18 @@ def summary_page(manifest: Mapping[str, Any], tables: Mapping[str, pd.DataFrame]
     return _PAGE.substitute(
         title=title, subtitle=_subtitle(manifest, tables, zone), body="\n".join(filter(None, parts))
     )
+
+
+def page_picture(picture: bytes) -> bytes:
+    """Return an image of any format as JPEG for the page, at most 1600 px wide."""
+    with Image.open(io.BytesIO(picture)) as image:
+        shown = image.convert("RGB")
+    if shown.width > _PICTURE_WIDTH_PX:
+        height = max(1, round(shown.height * _PICTURE_WIDTH_PX / shown.width))
+        shown = shown.resize((_PICTURE_WIDTH_PX, height), Image.Resampling.LANCZOS)
+    out = io.BytesIO()
+    Image.fromarray(np.asarray(shown)).save(out, "JPEG", quality=_PICTURE_QUALITY, optimize=True)
+    return out.getvalue()
 
 
 def _subtitle(manifest: Mapping[str, Any], tables: Mapping[str, pd.DataFrame], zone: str) -> str:
@@ -98,17 +111,6 @@ def _figures(pictures: Mapping[str, bytes]) -> str:
     figures = []
     for caption in sorted(pictures):
         text = escape(caption)
-        source = f"data:image/jpeg;base64,{base64.b64encode(_as_jpeg(pictures[caption])).decode('ascii')}"
+        source = f"data:image/jpeg;base64,{base64.b64encode(pictures[caption]).decode('ascii')}"
         figures.append(f'<figure><img alt="{text}" src="{source}"><figcaption>{text}</figcaption></figure>')
     return "<h2>Pictures</h2>\n" + "\n".join(figures)
-
-
-def _as_jpeg(data: bytes) -> bytes:
-    with Image.open(io.BytesIO(data)) as image:
-        picture = image.convert("RGB")
-    if picture.width > _PICTURE_WIDTH_PX:
-        height = max(1, round(picture.height * _PICTURE_WIDTH_PX / picture.width))
-        picture = picture.resize((_PICTURE_WIDTH_PX, height), Image.Resampling.LANCZOS)
-    out = io.BytesIO()
-    Image.fromarray(np.asarray(picture)).save(out, "JPEG", quality=_PICTURE_QUALITY, optimize=True)
-    return out.getvalue()

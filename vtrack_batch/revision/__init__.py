@@ -1,4 +1,4 @@
-"""Revision: what do the tracks tell of the detections they were made from?
+"""What do the tracks tell of the detections they were made from?
 
 Temporal integration after Badenas, Sanchiz and Pla ("Using Temporal Integration for Tracking Regions in Traffic
 Monitoring Sequences"): segmentation feeds tracking, and what tracking knows mends the segmentation. Here it is one step

@@ -9,7 +9,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from vtrack_batch.revision.crossing import Spots, drivers_through
+from vtrack_batch.revision.crossing import DRIVES_MPS, Spots, drivers_through
 from vtrack_batch.revision.params import RevisionParams
 from vtrack_batch.revision.tracked import Tracked
 
@@ -18,7 +18,6 @@ Index = NDArray[np.int64]
 
 _ENDS_MPS, _STARTS_MPS = 8.0, 5.0
 _GENTLE_MPS2, _LANE_M = 1.5, 1.5
-_DRIVES_MPS = 2.0
 FILLED = "~"
 """How the ids of filled sightings begin: sorted after all others."""
 
@@ -123,7 +122,7 @@ def _nobody_passed(told: Tracked, vehicle: Index, place: Array, begin_s: Array, 
     """Return whether nobody drove through each place (k, 2) between the times."""
     spots = told.spots(np.ones(len(told.vehicles), np.bool_), 0.6)
     waiting = Spots(place, spots.half[vehicle], spots.axis[vehicle], begin_s, end_s)
-    return drivers_through(waiting, told.ways(_DRIVES_MPS), during=True) == 0
+    return drivers_through(waiting, told.ways(DRIVES_MPS), during=True) == 0
 
 
 def _nearest_in_time(one: Index, other: Index, t_s: Array) -> Index:

@@ -11,6 +11,9 @@ from scipy.spatial import cKDTree
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+DRIVES_MPS = 2.0
+"""Faster than this from one frame to the next is a drive; slower may be the noise of one that stands."""
+
 
 @dataclass(frozen=True, eq=False)
 class Ways:

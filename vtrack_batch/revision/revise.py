@@ -9,23 +9,20 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from vtrack_batch.revision.absences import Clock, absences
-from vtrack_batch.revision.crossing import drivers_through
+from vtrack_batch.revision.crossing import DRIVES_MPS, drivers_through
 from vtrack_batch.revision.params import RevisionParams
 from vtrack_batch.revision.stands import held
 from vtrack_batch.revision.tracked import Tracked, tracked
-
-_DRIVES_MPS = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class Revised:
     """``detections``: those that stay, ghosts taken out and standing ones held. ``filled``: rows to track beside them,
-    with the ids that no table keeps. ``ghosts``: ids of what went.
+    with the ids that no table keeps.
     """
 
     detections: pd.DataFrame
     filled: pd.DataFrame
-    ghosts: pd.Series
 
 
 def revise(
@@ -42,10 +39,7 @@ def revise(
     rows = np.setdiff1d(np.arange(len(detections)), gone)
     stood = held(detections, told, ~ghost, params)
     filled = absences(detections, told, ~ghost, Clock(frame_times_s), params)
-    lost = np.setdiff1d(np.arange(len(detections)), rows)
-    return Revised(
-        stood.iloc[rows].reset_index(drop=True), filled, detections["detection_id"].iloc[lost].reset_index(drop=True)
-    )
+    return Revised(stood.iloc[rows].reset_index(drop=True), filled)
 
 
 def ghosts(told: Tracked, params: RevisionParams) -> NDArray[np.bool_]:
@@ -54,5 +48,5 @@ def ghosts(told: Tracked, params: RevisionParams) -> NDArray[np.bool_]:
     still &= (told.vehicles["end_s"] > told.vehicles["begin_s"]).to_numpy()
     spots = told.spots(still, params.pierced_share)
     ghost = np.zeros(len(still), np.bool_)
-    ghost[still] = drivers_through(spots, told.ways(_DRIVES_MPS), during=True) >= params.pierced_by
+    ghost[still] = drivers_through(spots, told.ways(DRIVES_MPS), during=True) >= params.pierced_by
     return ghost

@@ -6,12 +6,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from vtrack_batch.model.ids import vehicle_id
 from vtrack_batch.revision.absences import FILLED
-from vtrack_batch.revision.crossing import drivers_through
+from vtrack_batch.revision.crossing import DRIVES_MPS, drivers_through
 from vtrack_batch.revision.params import RevisionParams
 from vtrack_batch.revision.tracked import Tracked
-
-_DRIVES_MPS = 2.0
 
 
 def without_filled(track_points: pd.DataFrame) -> pd.DataFrame:
@@ -44,7 +43,7 @@ def renamed(vehicle_ids: pd.Series, track_points: pd.DataFrame) -> pd.Series:
     """Return *vehicle_ids*, those of filled sightings made from the first real one; null where there is none."""
     real = track_points[~_filled(track_points["detection_id"]) & track_points["detection_id"].notna()]
     first = real.sort_values("t_utc", kind="stable").groupby("vehicle_id")["detection_id"].first()
-    names = {old: f"v-{new}" for old, new in first.items()}
+    names = {old: vehicle_id(new) for old, new in first.items()}
     return vehicle_ids.map(names)
 
 
@@ -52,7 +51,7 @@ def queued(told: Tracked, parked: NDArray[np.bool_], params: RevisionParams) -> 
     """Return which of the *parked* vehicles (bool, by number) lie where others drive at other times."""
     out = np.zeros(len(parked), np.bool_)
     spots = told.spots(parked, params.pierced_share)
-    out[parked] = drivers_through(spots, told.ways(_DRIVES_MPS), during=False) >= params.pierced_by
+    out[parked] = drivers_through(spots, told.ways(DRIVES_MPS), during=False) >= params.pierced_by
     return out
 
 

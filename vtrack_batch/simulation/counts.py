@@ -8,7 +8,6 @@ import numpy as np
 import pandas as pd
 
 from vtrack_batch.model.homography import Array
-from vtrack_batch.simulation.places import Places
 
 SLOWEST_MPS = 0.1
 """Floor of speeds over a line in harmonic means, as in the traffic chapter."""
@@ -64,7 +63,7 @@ def turn_table(turns: pd.DataFrame, clock: Clock) -> pd.DataFrame:
     return cells[[*keys, "count", "count_lo", "count_hi", *share_names, "observed_s", "status"]]
 
 
-def gate_cells(crossings: pd.DataFrame, places: Places, clock: Clock) -> tuple[pd.DataFrame, pd.DataFrame]:
+def gate_cells(crossings: pd.DataFrame, clock: Clock) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the rows of ``speeds`` and of ``flows`` at gates, from crossings with their ``vehicle_class``."""
     seconds = (crossings["t_utc"] - clock.t_utc[0]).dt.total_seconds()
     over = crossings.rename(columns={"gate": "place"}).assign(

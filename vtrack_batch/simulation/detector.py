@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from vtrack_batch.model.homography import Array, apply
 from vtrack_batch.model.tables import TABLES
-from vtrack_batch.simulation.fleet import draw_looks
+from vtrack_batch.simulation.fleet import draw_looks, random_ids
 from vtrack_batch.simulation.params import DetectorParams
 
 _RGB = ["red", "green", "blue"]
@@ -45,7 +45,7 @@ def detected(
     false = _false_alarms(frames, view[0], params, rng)
     rows = pd.concat([part for part in (found, false) if len(part)] or [found], ignore_index=True)
     rows = _placed(rows, frames, view)
-    ids = _random_ids(len(rows), rng)
+    ids = random_ids(len(rows), rng, form="{:016x}", least=0, below=2**62)
     rows = rows.assign(detection_id=ids)
     names = ["detection_id", *TABLES["detections"].column_names[1:]]
     key = pd.DataFrame({"detection_id": ids[group], "vehicle_id": seen["vehicle_id"].to_numpy(object)})
@@ -160,11 +160,3 @@ def _placed(rows: pd.DataFrame, frames: pd.DataFrame, view: tuple[Array, Array])
         at = (rows["frame"] == k).to_numpy()
         px[at] = apply(view[1][k] @ to_reference, xy[at])
     return rows.assign(col_px=px[:, 0], row_px=px[:, 1], vx_mps=np.nan, vy_mps=np.nan, source="both")
-
-
-def _random_ids(count: int, rng: np.random.Generator) -> NDArray[np.object_]:
-    """Return distinct ids that carry no order."""
-    ids: dict[str, None] = {}
-    while len(ids) < count:
-        ids[f"{int(rng.integers(0, 2**62)):016x}"] = None
-    return np.array(list(ids), object)

@@ -117,7 +117,7 @@ def draw_demand(
         start = {"depart": f"{depart_s[k]:.2f}", "departLane": "best", "departSpeed": "max", "departPos": "base"}
         SubElement(root, "trip", {"id": name, "type": name, **between, **start})
     text = tostring(root, encoding="unicode").replace("><", ">\n<")
-    return text + "\n", Fleet(tuple(names), _random_ids(len(names), rng), looks)
+    return text + "\n", Fleet(tuple(names), random_ids(len(names), rng), looks)
 
 
 def fleet_of_types(
@@ -137,7 +137,7 @@ def fleet_of_types(
         for key, values in (("width", looks.width_m), ("height", looks.height_m))
     )
     looks = replace(looks, length_m=length_m, width_m=width_m, height_m=height_m)
-    return Fleet(tuple(names), _random_ids(len(names), rng), looks)
+    return Fleet(tuple(names), random_ids(len(names), rng), looks)
 
 
 def _kind(name: str, attributes: Mapping[str, str]) -> int:
@@ -175,9 +175,11 @@ def _varied(rgb: Array, rng: np.random.Generator) -> Array:
     return np.clip(rgb + 14 * rng.standard_normal((n, 1)) + 6 * rng.standard_normal((n, 3)), 8, 250)
 
 
-def _random_ids(count: int, rng: np.random.Generator) -> NDArray[np.object_]:
-    """Return distinct ids that carry no order."""
+def random_ids(
+    count: int, rng: np.random.Generator, *, form: str = "t-{:x}", least: int = 36**7, below: int = 36**8
+) -> NDArray[np.object_]:
+    """Return distinct ids (count,) that carry no order: numbers from *least* to *below*, written in *form*."""
     ids: dict[str, None] = {}
     while len(ids) < count:
-        ids[f"t-{int(rng.integers(36**7, 36**8)):x}"] = None
+        ids[form.format(int(rng.integers(least, below)))] = None
     return np.array(list(ids), object)

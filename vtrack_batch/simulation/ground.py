@@ -65,12 +65,12 @@ def draw_ground(canvas: Canvas, lay: Layout, town: Town, parked: Rows, light: Su
     height, width = canvas.shape
     rgba = np.empty((height, width, 4), np.uint8)
     table = _painter_table(canvas, parked, light)
-    shadows = town_shadows(town, canvas, light) if light else []
+    shadows = town_shadows(town, canvas, light) if light else None
     for first in range(0, height, STRIP_ROWS):
         last = min(first + STRIP_ROWS, height)
         # a few rows more on both sides, so that the blur does not see the strip's ends
         halo = canvas.rows(max(0, first - _HALO_ROWS), min(height, last + _HALO_ROWS))
-        image, shade = _strip(halo, lay, town, moved_up(table, halo.first_row), shadows, bool(light), seed)
+        image, shade = _strip(halo, lay, town, moved_up(table, halo.first_row), shadows, seed)
         keep = slice(first - halo.first_row, last - halo.first_row)
         rgba[first:last, :, :3] = np.clip(image[keep] + 0.5, 0, 255)
         rgba[first:last, :, 3] = shade[keep] * 255
@@ -134,12 +134,12 @@ def town_shadows(town: Town, canvas: Canvas, light: Sun) -> list[Array]:
 
 
 def _strip(
-    strip: Canvas, lay: Layout, town: Town, table: Array, shadows: list[Array], sunny: bool, seed: int
+    strip: Canvas, lay: Layout, town: Town, table: Array, shadows: list[Array] | None, seed: int
 ) -> tuple[Float32, Float32]:
-    """Return the colours (H, W, 3) and the shadow (H, W), 0-1, of one strip."""
+    """Return the colours (H, W, 3) and the shadow (H, W), 0-1, of one strip; without *shadows* nothing casts one."""
     image = surfaces(strip, lay, town, seed=seed)
     shade = np.zeros(strip.shape, np.float32)
-    if sunny:
+    if shadows is not None:
         soft = cv2.GaussianBlur(strip.mask(shadows), (0, 0), max(0.3, 0.15 * strip.px_per_m))
         shade = np.asarray(soft, np.float32) / np.float32(255)
         cast_shadows(shade, table)

@@ -58,7 +58,7 @@ def render(camera: Camera, frame: int, table: Array, *, rng: np.random.Generator
     """
     stage = camera.stage
     result = np.empty((stage.height_px, stage.width_px, 3), np.uint8)
-    everyone = np.vstack([table, *(part for _, part in _others(camera, frame))])
+    everyone = np.vstack([table, *_others(camera, frame)])
     above = _above(camera, frame)
     light, levels = _light_field(camera, frame), _noise_levels(camera.view.camera.noise_dn)
     # a photograph has its haze already
@@ -144,10 +144,11 @@ def _moving(camera: Camera, frame: int) -> list[tuple[str, Array, Array, Looks]]
     return found
 
 
-def _others(camera: Camera, frame: int) -> list[tuple[str, Array]]:
+def _others(camera: Camera, frame: int) -> list[Array]:
+    """Return the painter's tables of people and trams."""
     return [
-        (kind, place(camera, frame, looks, xy_m=xy, forward=forward))
-        for kind, xy, forward, looks in _moving(camera, frame)
+        place(camera, frame, looks, xy_m=xy, forward=forward)
+        for _, xy, forward, looks in _moving(camera, frame)
         if len(xy)
     ]
 

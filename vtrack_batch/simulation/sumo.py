@@ -31,14 +31,11 @@ class Drive:
 
     ``samples``: one row per vehicle and sampled moment, by vehicle and time: ``name``, ``step`` (number of the sample,
     0 = first frame), ``x``, ``y`` of the front bumper, ``angle`` (degrees clockwise from y), ``speed``,
-    ``acceleration``, ``odometer``, ``waiting``, ``type``. ``trips``: SUMO's own account of every trip (``id``,
-    ``depart``, ``arrival``, ...), those under way included (``arrival`` -1). ``period_s`` lies between samples.
+    ``acceleration``, ``odometer``, ``waiting``, ``type``. ``period_s`` lies between samples.
     """
 
     samples: pd.DataFrame
-    trips: pd.DataFrame
     period_s: float
-    begin_s: float
 
 
 def home() -> Path:
@@ -68,7 +65,8 @@ def build_net(made: Plan, folder: Path) -> Path:
 def drive(scenario: Scenario, folder: Path, *, net: Path, routes: Path, loops: str) -> Drive:
     """Drive the *routes* on the *net* from the warm-up's begin to just after the last frame.
 
-    *loops* is an additional file's text, the loop detectors whose output goes to ``loops.xml`` in *folder*.
+    *loops* is an additional file's text, the loop detectors whose output goes to ``loops.xml`` in *folder*. SUMO's own
+    account of every trip, those under way included, stays there as ``trips.csv``.
     """
     period_s = sample_period_s(scenario.interval_s)
     begin_s = round(scenario.warm_up_s / STEP_S) * STEP_S
@@ -95,7 +93,7 @@ def drive(scenario: Scenario, folder: Path, *, net: Path, routes: Path, loops: s
     _without_header(folder / "loops.xml")
     samples = _samples(folder / "fcd.csv", begin_s, period_s)
     (folder / "fcd.csv").unlink(missing_ok=True)
-    return Drive(samples, _trips(folder / "trips.csv"), period_s, begin_s)
+    return Drive(samples, period_s)
 
 
 def vehicle_types(routes: Path) -> dict[str, dict[str, str]]:
@@ -138,14 +136,6 @@ def _without_header(path: Path) -> None:
         path.write_bytes(_HEADER.sub(b"", path.read_bytes(), count=1))
 
 
-def _has_rows(path: Path) -> bool:
-    """Return whether SUMO wrote anything but blank lines, which is all it writes where nobody drives."""
-    if not path.is_file():
-        return False
-    with path.open("rb") as stream:
-        return bool(stream.read(256).strip())
-
-
 def _samples(path: Path, begin_s: float, period_s: float) -> pd.DataFrame:
     names = {f"vehicle_{name}": name for name in _FCD}
     rows = _table(path, ["timestep_time", "vehicle_id", *names])
@@ -154,15 +144,9 @@ def _samples(path: Path, begin_s: float, period_s: float) -> pd.DataFrame:
     return rows.assign(step=step).sort_values(["name", "step"], ignore_index=True)
 
 
-def _trips(path: Path) -> pd.DataFrame:
-    names = ("id", "depart", "arrival", "departLane", "arrivalLane")
-    rows = _table(path, [f"tripinfo_{name}" for name in names])
-    return rows.rename(columns=lambda name: name.removeprefix("tripinfo_")).sort_values("id", ignore_index=True)
-
-
 def _table(path: Path, columns: list[str]) -> pd.DataFrame:
     """Return *columns* of a table that SUMO wrote; it has not even names where there are no rows."""
-    texts = [name for name in columns if name.endswith(("_id", "_type", "_lane", "Lane"))]
+    texts = [name for name in columns if name.endswith(("_id", "_type", "_lane"))]
     try:
         return pd.read_csv(path, sep=";", usecols=columns, dtype=dict.fromkeys(texts, str))
     except (FileNotFoundError, pd.errors.EmptyDataError):

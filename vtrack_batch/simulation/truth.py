@@ -88,7 +88,7 @@ def truth_tables(world: World, seen: Sightings, *, bin_s: int) -> dict[str, pd.D
     turns = turns.assign(vehicle_class=classes[turns["vehicle"].to_numpy(np.int64)])
     crossings = _crossings(world, events)
     of_vehicle = trajectories.set_index("vehicle_id")["vehicle_class"]
-    gates = gate_cells(crossings.assign(vehicle_class=crossings["vehicle_id"].map(of_vehicle)), world.places, clock)
+    gates = gate_cells(crossings.assign(vehicle_class=crossings["vehicle_id"].map(of_vehicle)), clock)
     stays = stays_in(world.motion, world.places, clock, np.unique(world.states.vehicle[seen.row]))
     areas = area_cells(stays.assign(vehicle_class=classes[stays["vehicle"].to_numpy(np.int64)]), world.places, clock)
     return {

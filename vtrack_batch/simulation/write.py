@@ -145,11 +145,13 @@ def _read_photo(path: Path, *, projected: bool = True) -> _Photo:
     except (RasterioError, OSError) as problem:
         raise ConfigError(f"picture {path}: cannot be read ({problem})") from None
     if projected and (crs is None or not crs.is_projected or crs.to_epsg() is None):
-        raise ConfigError(f"orthophoto {path}: needs a projected CRS with an EPSG code, found {crs}")
+        raise ConfigError(f"orthophoto {path}: needs a projected CRS with an EPSG code, found {crs}; reproject it")
     if crs is not None and crs.is_geographic:
         raise ConfigError(f"picture {path}: is in degrees ({crs}); give it a projected CRS, or none")
-    if len(bands) < 3 or bands.dtype != np.uint8 or not valid.any():
+    if len(bands) < 3 or bands.dtype != np.uint8:
         raise ConfigError(f"picture {path}: needs three bands of 8 bits, found {len(bands)} of {bands.dtype}")
+    if not valid.any():
+        raise ConfigError(f"picture {path}: needs pixels with data, found none: its mask covers all of it")
     code = f"EPSG:{crs.to_epsg()}" if projected else None
     return _Photo(filled(np.ascontiguousarray(bands[:3].transpose(1, 2, 0)), valid), transform, code)
 

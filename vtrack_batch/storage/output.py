@@ -54,7 +54,8 @@ class Part:
     @property
     def files(self) -> Mapping[str, Mapping[str, Any]]:
         """Name → {sha256, bytes, rows} of every file of the part."""
-        return dict(self.about["files"])
+        files: Mapping[str, Mapping[str, Any]] = self.about["files"]
+        return files
 
 
 class Output:
@@ -118,9 +119,9 @@ class Output:
 
     def part(self, step: str, key: str) -> Part | None:
         """Return the finished part, or None."""
-        folder = self.data / step / key
+        folder = self.data.joinpath(step, key)  # at once: snapshots ask for thousands
         try:
-            with open(f"{folder}/part.json", "rb") as stream:  # noqa: PTH123 # snapshots ask for thousands
+            with open(f"{folder}/part.json", "rb") as stream:  # noqa: PTH123 # likewise
                 about = json.loads(stream.read())
         except (FileNotFoundError, NotADirectoryError):
             return None
@@ -252,35 +253,28 @@ def _seal(draft: Path, about: Mapping[str, Any]) -> None:
 
 def _fill(draft: Path, links: Mapping[str, str | Path], written: Mapping[str, str | bytes]) -> None:
     """Lay out a snapshot: a name for every file, and a durable folder for every name."""
-    folders = {""}  # as texts: a path object costs more than the folder or the link
-    for place in (*links, *written):
-        folder = place.rpartition("/")[0]
-        while folder not in folders:
-            folders.add(folder)
-            folder = folder.rpartition("/")[0]
-    for folder in sorted(folders):
-        os.mkdir(f"{draft}/{folder}")  # noqa: PTH102 # in this order, after the folder that it is in
+    folders = {"": str(draft)}  # as texts: a path object costs more than the folder or the link
+    draft.mkdir()
+
+    def made(folder: str) -> str:
+        if folder not in folders:
+            above, _, name = folder.rpartition("/")
+            folders[folder] = f"{made(above)}/{name}"
+            os.mkdir(folders[folder])  # noqa: PTH102
+        return folders[folder]
+
     for place, source in links.items():
-        link(source, f"{draft}/{place}")
-    for name, content in written.items():
-        write_durable(draft / name, content)
-    fsync_folders([f"{draft}/{folder}" for folder in folders])
+        folder, _, name = place.rpartition("/")
+        link(source, f"{made(folder)}/{name}")
+    for place, content in written.items():
+        folder, _, name = place.rpartition("/")
+        write_durable(Path(made(folder), name), content)
+    fsync_folders(list(folders.values()))
 
 
 def _json(value: Mapping[str, Any]) -> str:
-    """Return *value* as JSON with one line an entry of the first two levels: quick to write, fit to be compared."""
-    lines = []
-    for key in sorted(value):
-        inner = value[key]
-        if isinstance(inner, dict) and inner:
-            rows = (f"  {_compact(str(name))}: {_compact(inner[name])}" for name in sorted(inner))
-            lines.append(f" {json.dumps(key)}: {{\n" + ",\n".join(rows) + "\n }")
-        else:
-            lines.append(f" {json.dumps(key)}: {_compact(inner)}")
-    return "{\n" + ",\n".join(lines) + "\n}\n"
-
-
-_compact = json.JSONEncoder(sort_keys=True, ensure_ascii=False).encode
+    """Return *value* as JSON with one line an entry: fit to be compared, and written in one go, for there are many."""
+    return json.dumps(value, sort_keys=True, ensure_ascii=False, separators=(",\n", ": ")) + "\n"
 
 
 def _not_written(what: str, problem: OSError) -> str:

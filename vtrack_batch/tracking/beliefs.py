@@ -4,25 +4,31 @@ Every possible link e = (h, i) carries the state (position, velocity, mean colou
 that way. The belief in a link (i, k) is a mixture over the ways into i and the ways out of k, each weighted by what its
 own past (or future) makes of it: wrong links beside it do not blind it, as they would if the past were one chain.
 A link's message never holds the link itself.
+
+A state is a row of numbers: place, velocity, their covariance (the same on both axes), mean colour, and how many
+sightings are in it. A sighting alone is a state too, of a vehicle that is born there. Likelihoods are multiplied as
+they are, not as logarithms: the least of them, of a vehicle without past or future, is far above the least number.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
-from vtrack_batch.matching.colour import log_same_paint
 from vtrack_batch.tracking.sightings import Array, Index
 
+X, Y, VX, VY, PP, PV, VV, LIGHT, REDDISH, BLUISH, SEEN = range(11)
+WIDTH = 11
 FAINT = 1e-3  # ways less likely than this are left out
-LOG_ODDS_MAX = 30.0
-BEHIND = 20.0  # ways whose motion is this much (log) less likely than the rest are left out before colour is asked
+LEAST_ODDS, MOST_ODDS = np.exp(-30.0), np.exp(30.0)
+BEHIND = np.exp(-20.0)  # ways whose motion is this much less likely than the rest are left out before colour is asked
+FARTHEST = 100.0  # half a squared distance, in variances of rough driving, from which on a density is zero
 
 
 class Graph(NamedTuple):
-    """Sightings and the possible links between them (a named tuple, because compiled code reads it).
+    """Sightings and the possible links between them.
 
     ``i``, ``k`` (e,) int64; ``log_alone`` (e,) log density (1/m2) of the displacement when nothing is known of the
     motion on either side; ``log_odds`` (e,) all of a link's log-odds but motion and colour. Of sightings: ``t`` (n,) s,
@@ -44,226 +50,207 @@ class Graph(NamedTuple):
     motion: Array
 
 
-class Ways(NamedTuple):
-    """Links by sighting: those into h are ``into[into_start[h]:into_start[h + 1]]``, those out of it likewise."""
-
-    into_start: Index
-    into: Index
-    out_start: Index
-    out: Index
-
-
-class Messages(NamedTuple):
-    """State and weight of every link as a way into (backward: out of) its far end; ``seen`` = sightings behind it.
-
-    ``log_weight`` is known where a way is not ``FAINT``.
-    """
-
-    weight: Array
-    log_weight: Array
-    mean: Array
-    cov: Array
-    paint: Array
-    seen: Array
-
-
 def link_gains(g: Graph) -> Array:
     """Return the log-odds (e,) of every possible link, by the past, the future, motion and colour."""
-    order = np.argsort(g.t, kind="stable")
-    into, out = _grouped(g.k, len(g.t)), _grouped(g.i, len(g.t))
-    past = _messages(order, g, Ways(*into, *out))
-    future = _messages(order[::-1].copy(), g._replace(i=g.k, k=g.i), Ways(*out, *into))
-    return np.asarray(_combined(g, Ways(*into, *out), past, future))
+    n = len(g.t)
+    born = np.column_stack([g.xy, np.zeros((n, 2)), g.variance, np.zeros((n, 2)), g.paint, np.ones(n)])
+    born[:, VV] = g.motion[3] ** 2
+    noise, shared = np.array([1.0, 0.0, 1.0, 1.0]), np.zeros(len(g.i))
+    if len(g.noise):
+        noise, shared = g.noise, np.exp(g.noise[4] - 0.5 * (g.log_paint[g.i] + g.log_paint[g.k]))
+    alone = np.exp(g.log_alone) * _alike(g.i, g.k, shared, born, noise)
+    order, odds = np.argsort(g.t, kind="stable"), np.exp(g.log_odds)
+    into, out = _grouped(g.k, n), _grouped(g.i, n)
+    given: tuple[Any, ...] = (alone, odds, shared, g.t, born, noise, g.motion)
+    past = _messages(order, g.i, g.k, *into, *out, *given)
+    future = _messages(order[::-1].copy(), g.k, g.i, *out, *into, *given)
+    return np.asarray(_combined(g.i, g.k, *into, *out, *past, *future, *given))
 
 
-def _grouped(owner: Index, n: int) -> tuple[Index, Index]:
+@njit(cache=True, nogil=True)
+def _grouped(owner, n):  # type: ignore[no-untyped-def]
     """Return start (n + 1,) and link numbers (e,) grouped by owner."""
-    order = np.argsort(owner, kind="stable")
-    return np.searchsorted(owner[order], np.arange(n + 1)).astype(np.int64), order.astype(np.int64)
+    start, order = np.zeros(n + 1, np.int64), np.empty(len(owner), np.int64)
+    for e in range(len(owner)):
+        start[owner[e] + 1] += 1
+    for h in range(n):
+        start[h + 1] += start[h]
+    at = start[:-1].copy()
+    for e in range(len(owner)):
+        order[at[owner[e]]] = e
+        at[owner[e]] += 1
+    return start, order
 
 
 @njit(cache=True, nogil=True)
-def _log_sum(a, b):  # type: ignore[no-untyped-def]
-    if a < b:
-        a, b = b, a
-    return a if b == -np.inf else a + np.log1p(np.exp(b - a))
-
-
-@njit(cache=True, nogil=True)
-def _grown(pp, pv, vv, dt, q):  # type: ignore[no-untyped-def]
-    """Covariance (pp, pv, vv) after the time *dt*, of either sign."""
-    h = abs(dt)
-    return pp + 2 * dt * pv + dt * dt * vv + q * h * h * h / 3, pv + dt * vv + q * h * dt / 2, vv + q * h
-
-
-@njit(cache=True, nogil=True)
-def _log_place(m, w, dt, x, y, variance, motion, least):  # type: ignore[no-untyped-def]
-    """Log density of a sighting at (x, y) for a vehicle in state *w*, ordinary or rough driving; -inf below *least*."""
-    dx, dy = x - m.mean[w, 0] - dt * m.mean[w, 2], y - m.mean[w, 1] - dt * m.mean[w, 3]
-    half = 0.5 * (dx * dx + dy * dy)
-    grown = m.cov[w, 0] + 2 * dt * m.cov[w, 1] + dt * dt * m.cov[w, 2] + variance
-    jolt = motion[0] * abs(dt) ** 3 / 3
-    usual, rough = grown + jolt, grown + jolt * motion[1]
-    if -half / rough < least + np.log(2 * np.pi * usual):  # the density is at most exp(-half / rough) / (2 pi usual)
-        return -np.inf
-    density = (1 - motion[2]) * np.exp(-half / usual) / usual + motion[2] * np.exp(-half / rough) / rough
-    return np.log(density / (2 * np.pi) + 1e-300)
-
-
-@njit(cache=True, nogil=True)
-def _log_meet(past, a, dt, future, b, motion):  # type: ignore[no-untyped-def]
-    """Log density ratio of a past and a future state being one vehicle's; the velocity's prior stands in both once."""
-    dx, dy = future.mean[b, 0] - past.mean[a, 0], future.mean[b, 1] - past.mean[a, 1]
-    du, dv = future.mean[b, 2] - past.mean[a, 2], future.mean[b, 3] - past.mean[a, 3]
-    dx, dy = dx - dt * past.mean[a, 2], dy - dt * past.mean[a, 3]
-    density = 1e-300
-    for rough in range(2):
-        pp, pv, vv = _grown(past.cov[a, 0], past.cov[a, 1], past.cov[a, 2], dt, motion[0] * (motion[1] if rough else 1))
-        pp, pv, vv = pp + future.cov[b, 0], pv + future.cov[b, 1], vv + future.cov[b, 2]
-        det = max(pp * vv - pv * pv, 1e-12)
-        z = (vv * (dx * dx + dy * dy) - 2 * pv * (dx * du + dy * dv) + pp * (du * du + dv * dv)) / det
-        density += (motion[2] if rough else 1 - motion[2]) * np.exp(-0.5 * z) / det
-    u, v = 0.5 * (future.mean[b, 2] + past.mean[a, 2]), 0.5 * (future.mean[b, 3] + past.mean[a, 3])
-    prior = 2 * np.pi * motion[3] ** 2
-    return np.log(density * prior / (2 * np.pi) ** 2) + 0.5 * (u * u + v * v) / motion[3] ** 2
-
-
-@njit(cache=True, nogil=True)
-def _log_paint(g, e, first, a, second, b, variance):  # type: ignore[no-untyped-def]
-    """Log-likelihood ratio of two mean colours at the ends of link *e*; 0 without colour."""
-    if not len(g.noise):
+def _density(dx, dy, grown, jolt, motion):  # type: ignore[no-untyped-def]
+    """Density (1/m2) of a sighting (dx, dy) off, of variance *grown* but for the jolts of driving, usual or rough."""
+    half, usual, rough = 0.5 * (dx * dx + dy * dy), grown + jolt, grown + jolt * motion[1]
+    if half > FARTHEST * rough:
         return 0.0
-    log_random = 0.5 * (g.log_paint[g.i[e]] + g.log_paint[g.k[e]])
-    return log_same_paint(first, a, second, b, variance, log_random, g.noise)
+    density = (1 - motion[2]) * np.exp(-half / usual) / usual + motion[2] * np.exp(-half / rough) / rough
+    return density / (2 * np.pi)
 
 
 @njit(cache=True, nogil=True)
-def _messages(order, g, ways):  # type: ignore[no-untyped-def]
-    """Pass states along all links, sighting by sighting, each way weighted against its rivals at both ends."""
-    size = len(g.i)
-    m = Messages(
-        np.zeros(size), np.full(size, -np.inf), np.zeros((size, 4)), np.zeros((size, 3)), np.zeros((size, 3)),
-        np.ones(size),
+def _place(state, w, dt, born, k, motion):  # type: ignore[no-untyped-def]
+    """Density (1/m2) of sighting *k* for a vehicle in state *w*, *dt* away; ordinary or rough driving."""
+    dx = born[k, X] - state[w, X] - dt * state[w, VX]
+    dy = born[k, Y] - state[w, Y] - dt * state[w, VY]
+    grown = state[w, PP] + 2 * dt * state[w, PV] + dt * dt * state[w, VV] + born[k, PP]
+    return _density(dx, dy, grown, motion[0] * abs(dt) ** 3 / 3, motion)
+
+
+@njit(cache=True, nogil=True)
+def _same_paint(first, a, second, b, shared, noise):  # type: ignore[no-untyped-def]
+    """Likelihood ratio of the mean colours of two states being one vehicle's; see ``colour.log_same_paint``.
+
+    *shared* is what all states at the ends of one link have in common, 0 without colour.
+    """
+    if shared == 0:
+        return noise[3]
+    variance = 1 / first[a, SEEN] + 1 / second[b, SEEN]
+    brightness = 0.5 * (first[a, LIGHT] + second[b, LIGHT])
+    v_light = (noise[0] ** 2 + (noise[1] * brightness) ** 2) * variance
+    v_chroma = noise[2] ** 2 * variance
+    light, red, blue = (
+        first[a, LIGHT] - second[b, LIGHT], first[a, REDDISH] - second[b, REDDISH], first[a, BLUISH] - second[b, BLUISH]
     )  # fmt: skip
-    odds, sum_into, sum_out = np.zeros(size), np.zeros(len(g.t)), np.zeros(len(g.t))
-    likely = np.empty(size, np.int64)
+    z = light**2 / v_light + (red**2 + blue**2) / v_chroma
+    return shared * np.exp(-0.5 * z) / (np.sqrt(v_light) * v_chroma) + noise[3]
+
+
+@njit(cache=True, nogil=True)
+def _alike(i, k, shared, born, noise):  # type: ignore[no-untyped-def]
+    out = np.empty(len(i))
+    for e in range(len(i)):
+        out[e] = _same_paint(born, i[e], born, k[e], shared[e], noise)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _messages(order, near, far, into_start, into, out_start, out, alone, odds, shared, t, born, noise, motion):  # type: ignore[no-untyped-def]
+    """Pass states along all links, sighting by sighting, each way weighted against its rivals at both ends.
+
+    Returns state and weight of every link as a way into (backward: out of) its far end.
+    """
+    size, trust = len(near), motion[4]
+    state, weight, likely = np.zeros((size, WIDTH)), np.zeros(size), np.empty(size, np.int64)
+    found, sum_into, sum_out = np.zeros(size), np.zeros(len(t)), np.zeros(len(t))
     for h in order:
         known, count = 0.0, 0
-        for s in range(ways.into_start[h], ways.into_start[h + 1]):
-            e = ways.into[s]
-            rivals = max(sum_into[h] - odds[e], 0.0) + max(sum_out[g.i[e]] - odds[e], 0.0)
-            m.weight[e] = g.motion[4] * odds[e] / (1 + odds[e] + rivals)
-            known += m.weight[e]
-            if m.weight[e] >= FAINT:
-                m.log_weight[e] = np.log(m.weight[e])
+        for s in range(into_start[h], into_start[h + 1]):
+            e = into[s]
+            rivals = max(sum_into[h] - found[e], 0.0) + max(sum_out[near[e]] - found[e], 0.0)
+            weight[e] = trust * found[e] / (1 + found[e] + rivals)
+            known += weight[e]
+            if weight[e] >= FAINT:
                 likely[count] = e
                 count += 1
-        log_birth = np.log(max(1 - known, 1 - g.motion[4]))
-        for s in range(ways.out_start[h], ways.out_start[h + 1]):
-            e = ways.out[s]
-            total, way = _best_way(e, log_birth, g, likely[:count], m)
-            _write_state(e, way, g, m)
-            odds[e] = np.exp(min(max(total + g.log_odds[e], -LOG_ODDS_MAX), LOG_ODDS_MAX))
-            sum_out[h] += odds[e]
-            sum_into[g.k[e]] += odds[e]
-    return m
+        birth = max(1 - known, 1 - trust)
+        for s in range(out_start[h], out_start[h + 1]):
+            e = out[s]
+            k = far[e]
+            dt = t[k] - t[h]
+            best, way = birth * alone[e], -1
+            total = best
+            for c in range(count):
+                w = likely[c]
+                term = weight[w] * _place(state, w, dt, born, k, motion)
+                if term < total * BEHIND:
+                    continue
+                term *= _same_paint(state, w, born, k, shared[e], noise)
+                total += term
+                if term > best:
+                    best, way = term, w
+            if way < 0:
+                _write_state(born, h, dt, born, k, motion, state, e)
+            else:
+                _write_state(state, way, dt, born, k, motion, state, e)
+            found[e] = min(max(total * odds[e], LEAST_ODDS), MOST_ODDS)
+            sum_out[h] += found[e]
+            sum_into[k] += found[e]
+    return state, weight
 
 
 @njit(cache=True, nogil=True)
-def _best_way(e, log_birth, g, likely, m):  # type: ignore[no-untyped-def]
-    """Sum over the *likely* ways into link *e*, birth included; returns the log sum and the best way, -1 = birth."""
-    h, k = g.i[e], g.k[e]
-    dt, x, y = g.t[k] - g.t[h], g.xy[k, 0], g.xy[k, 1]
-    best = log_birth + g.log_alone[e] + _log_paint(g, e, g.paint, h, g.paint, k, 2.0)
-    total, way = best, -1
-    for w in likely:
-        term = m.log_weight[w] + _log_place(m, w, dt, x, y, g.variance[k], g.motion, total - BEHIND - m.log_weight[w])
-        if term < total - BEHIND:
-            continue
-        term += _log_paint(g, e, m.paint, w, g.paint, k, 1 / m.seen[w] + 1)
-        total = _log_sum(total, term)
-        if term > best:
-            best, way = term, w
-    return total, way
+def _write_state(former, way, dt, born, k, motion, state, e):  # type: ignore[no-untyped-def]
+    """Write as ``state[e]`` what ``former[way]`` has become when the vehicle is seen as sighting *k*, *dt* away."""
+    h = abs(dt)
+    pp, pv, vv = former[way, PP], former[way, PV], former[way, VV]
+    pp, pv = pp + 2 * dt * pv + dt * dt * vv + motion[0] * h * h * h / 3, pv + dt * vv + motion[0] * h * dt / 2
+    vv += motion[0] * h
+    n = min(former[way, SEEN], motion[5])
+    for c in (LIGHT, REDDISH, BLUISH):
+        state[e, c] = (n * former[way, c] + born[k, c]) / (n + 1)
+    state[e, SEEN] = n + 1
+    share, share_v = pp / (pp + born[k, PP]), pv / (pp + born[k, PP])  # Kalman gains
+    for c in (X, Y):
+        ahead = former[way, c] + dt * former[way, c + 2]
+        residual = born[k, c] - ahead
+        state[e, c], state[e, c + 2] = ahead + share * residual, former[way, c + 2] + share_v * residual
+    state[e, PP], state[e, PV], state[e, VV] = pp - share * pp, pv - share * pv, vv - share_v * pv
 
 
 @njit(cache=True, nogil=True)
-def _write_state(e, way, g, m):  # type: ignore[no-untyped-def]
-    """Write the state at the far end of link *e* of a vehicle that came by *way*, or was born at the near end."""
-    h, k = g.i[e], g.k[e]
-    dt = g.t[k] - g.t[h]
-    if way < 0:
-        at = g.xy[h, 0], g.xy[h, 1], 0.0, 0.0
-        pp, pv, vv = _grown(g.variance[h], 0.0, g.motion[3] ** 2, dt, g.motion[0])
-        n = 1.0
-        for c in range(3):
-            m.paint[e, c] = 0.5 * (g.paint[h, c] + g.paint[k, c])
-    else:
-        at = m.mean[way, 0], m.mean[way, 1], m.mean[way, 2], m.mean[way, 3]
-        pp, pv, vv = _grown(m.cov[way, 0], m.cov[way, 1], m.cov[way, 2], dt, g.motion[0])
-        n = min(m.seen[way], g.motion[5])
-        for c in range(3):
-            m.paint[e, c] = (n * m.paint[way, c] + g.paint[k, c]) / (n + 1)
-    m.seen[e] = n + 1
-    share, share_v = pp / (pp + g.variance[k]), pv / (pp + g.variance[k])  # Kalman gains
-    for c in range(2):
-        ahead = at[c] + dt * at[c + 2]
-        residual = g.xy[k, c] - ahead
-        m.mean[e, c], m.mean[e, c + 2] = ahead + share * residual, at[c + 2] + share_v * residual
-    m.cov[e, 0], m.cov[e, 1], m.cov[e, 2] = pp - share * pp, pv - share * pv, vv - share_v * pv
-
-
-@njit(cache=True, nogil=True)
-def _combined(g, ways, past, future):  # type: ignore[no-untyped-def]
+def _combined(i, k, into_start, into, out_start, out, past, past_weight, future, future_weight, alone, odds, shared, t, born, noise, motion):  # type: ignore[no-untyped-def]  # fmt: skip  # noqa: E501
     """Log-odds of every link: the sum over ways into its near end and out of its far end, none included on each."""
-    gain = np.empty(len(g.i))
-    no_past, no_future = _none(ways.into_start, ways.into, past, g), _none(ways.out_start, ways.out, future, g)
-    for e in range(len(g.i)):
-        i, k = g.i[e], g.k[e]
-        log_none = no_past[i] + no_future[k]
-        total = log_none + g.log_alone[e] + _log_paint(g, e, g.paint, i, g.paint, k, 2.0)
-        for s in range(ways.into_start[i], ways.into_start[i + 1]):
-            a = ways.into[s]
-            if past.weight[a] >= FAINT:
-                total = _log_sum(total, _by_past(e, a, no_future[k], g, ways, past, future))
-        dt, x, y = g.t[i] - g.t[k], g.xy[i, 0], g.xy[i, 1]
-        for s in range(ways.out_start[k], ways.out_start[k + 1]):
-            b = ways.out[s]
-            if future.weight[b] >= FAINT:
-                base = future.log_weight[b] + no_past[i]
-                term = base + _log_place(future, b, dt, x, y, g.variance[i], g.motion, total - 2 * BEHIND - base)
-                term += _log_paint(g, e, future.paint, b, g.paint, i, 1 / future.seen[b] + 1)
-                total = _log_sum(total, term)
-        gain[e] = total + g.log_odds[e]
+    gain = np.empty(len(i))
+    no_past = _none(into_start, into, past_weight, motion[4])
+    no_future = _none(out_start, out, future_weight, motion[4])
+    for e in range(len(i)):
+        ways_in, ways_out = into[into_start[i[e]] : into_start[i[e] + 1]], out[out_start[k[e]] : out_start[k[e] + 1]]
+        dt = t[k[e]] - t[i[e]]
+        total = no_past[i[e]] * no_future[k[e]] * alone[e]
+        for a in ways_in:
+            if past_weight[a] < FAINT:
+                continue
+            ends = no_future[k[e]] * _place(past, a, dt, born, k[e], motion)
+            sum_a = ends * _same_paint(past, a, born, k[e], shared[e], noise)
+            for b in ways_out:
+                if past_weight[a] * future_weight[b] < FAINT:
+                    continue
+                term = future_weight[b] * _meet(past, a, dt, future, b, motion)
+                if term >= sum_a * BEHIND:
+                    sum_a += term * _same_paint(past, a, future, b, shared[e], noise)
+            total += past_weight[a] * sum_a
+        for b in ways_out:
+            if future_weight[b] < FAINT:
+                continue
+            term = future_weight[b] * no_past[i[e]] * _place(future, b, -dt, born, i[e], motion)
+            if term >= total * BEHIND**2:
+                total += term * _same_paint(future, b, born, i[e], shared[e], noise)
+        gain[e] = np.log(total * odds[e])
     return gain
 
 
 @njit(cache=True, nogil=True)
-def _none(start, ways, m, g):  # type: ignore[no-untyped-def]
-    """Log probability (n,) that a vehicle came (or went) by none of its ways."""
+def _none(start, ways, weight, trust):  # type: ignore[no-untyped-def]
+    """Probability (n,) that a vehicle came (or went) by none of its ways."""
     none = np.empty(len(start) - 1)
     for h in range(len(none)):
         left = 1.0
         for s in range(start[h], start[h + 1]):
-            left -= m.weight[ways[s]]
-        none[h] = np.log(max(left, 1 - g.motion[4]))
+            left -= weight[ways[s]]
+        none[h] = max(left, 1 - trust)
     return none
 
 
 @njit(cache=True, nogil=True)
-def _by_past(e, a, no_future, g, ways, past, future):  # type: ignore[no-untyped-def]
-    """Log-likelihood of link *e* for a vehicle that came by *a*: with no future, or any of the ways on."""
-    i, k = g.i[e], g.k[e]
-    dt = g.t[k] - g.t[i]
-    total = no_future + _log_place(past, a, dt, g.xy[k, 0], g.xy[k, 1], g.variance[k], g.motion, -np.inf)
-    total += _log_paint(g, e, past.paint, a, g.paint, k, 1 / past.seen[a] + 1)
-    for s in range(ways.out_start[k], ways.out_start[k + 1]):
-        b = ways.out[s]
-        if past.weight[a] * future.weight[b] < FAINT:
-            continue
-        term = future.log_weight[b] + _log_meet(past, a, dt, future, b, g.motion)
-        if term < total - BEHIND:
-            continue
-        term += _log_paint(g, e, past.paint, a, future.paint, b, 1 / past.seen[a] + 1 / future.seen[b])
-        total = _log_sum(total, term)
-    return past.log_weight[a] + total
+def _meet(past, a, dt, future, b, motion):  # type: ignore[no-untyped-def]
+    """Density ratio of a past and a future state being one vehicle's; the velocity's prior stands in both once."""
+    h, prior = abs(dt), motion[3] ** 2
+    du, dv = future[b, VX] - past[a, VX], future[b, VY] - past[a, VY]
+    dx, dy = future[b, X] - past[a, X] - dt * past[a, VX], future[b, Y] - past[a, Y] - dt * past[a, VY]
+    xx, xv, vv = dx * dx + dy * dy, dx * du + dy * dv, du * du + dv * dv
+    c_pp = past[a, PP] + 2 * dt * past[a, PV] + dt * dt * past[a, VV] + future[b, PP]
+    c_pv, c_vv = past[a, PV] + dt * past[a, VV] + future[b, PV], past[a, VV] + future[b, VV]
+    u, v = 0.5 * (future[b, VX] + past[a, VX]), 0.5 * (future[b, VY] + past[a, VY])
+    speed, density = 0.5 * (u * u + v * v) / prior, 0.0
+    for rough in range(2):
+        q, share = (motion[0] * motion[1], motion[2]) if rough else (motion[0], 1 - motion[2])
+        pp, pv, p_vv = c_pp + q * h * h * h / 3, c_pv + q * h * dt / 2, c_vv + q * h
+        det = max(pp * p_vv - pv * pv, 1e-12)
+        z = (p_vv * xx - 2 * pv * xv + pp * vv) / det
+        density += share * np.exp(speed - 0.5 * z) / det
+    return density * prior / (2 * np.pi)

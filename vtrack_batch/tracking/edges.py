@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from vtrack_batch.matching.candidates import Edges, candidates
 from vtrack_batch.matching.colour import Paint
 from vtrack_batch.matching.flow import FlowMap
+from vtrack_batch.matching.local_flow import LocalFlow
 from vtrack_batch.matching.match import bayes_evidence, place_density
 from vtrack_batch.matching.neighbours import neighbours_of
 from vtrack_batch.matching.params import MatchingParams
@@ -78,13 +79,14 @@ def pair_links(
         if a == b or b == c or dt > limit_s:
             continue
         edges = candidates(s.xy[a:b], s.xy[b:c], matching.reach_m(dt), limit=matching.max_candidate_pairs)
-        if flow_map is not None:
-            edges = edges.select(flow_map.possible(s.xy[a + edges.i], s.xy[b + edges.k], dt))
+        flow = None if flow_map is None else flow_map.at(s.xy[a:b], s.xy[b:c], dt)
+        if flow is not None:
+            edges = edges.select(flow.possible(edges))
         i, k = edges.i + a, edges.k + b
         colour = None
         if paint is not None and s.rgb is not None:
             colour = paint.log_ratio_given(s.rgb[i], s.rgb[k], 0.5 * (log_colour[i] + log_colour[k]))
-        log_odds, log_alone, log_known = _judged(s, edges, colour, paint, (a, b, c), matching, flow_map)
+        log_odds, log_alone, log_known = _judged(s, edges, colour, paint, (a, b, c), matching, flow)
         keep = log_odds > KEEP_LOG_ODDS
         found.append((i[keep], k[keep], log_alone[keep], log_odds[keep], log_known[keep]))
     if not found:
@@ -100,7 +102,7 @@ def _judged(
     paint: Paint | None,
     rows: tuple[int, int, int],
     matching: MatchingParams,
-    flow_map: FlowMap | None,
+    flow: LocalFlow | None,
 ) -> tuple[Array, Array, Array]:
     """Return the log-odds (e,) of edges between two frames against a break, and what of them is motion (1/m2).
 
@@ -111,13 +113,13 @@ def _judged(
     earlier_xy, later_xy = s.xy[a:b], s.xy[b:c]
     dt = float(s.t[b] - s.t[a])
     neighbours = neighbours_of(edges, earlier_xy, later_xy, elapsed_s=dt, params=matching.neighbours)
-    prior = place_density(edges, earlier_xy, dt, matching, flow_map)
+    prior = place_density(edges, dt, matching, flow)
     colour = matching.colour if paint is None else paint.params
     evidence = bayes_evidence(edges, neighbours, prior, log_colour, dt, matching, colour)
     log_odds, log_known = evidence.log_odds, np.zeros(len(edges))
     if matching.method != "untrained":
         places, model = (earlier_xy, later_xy), model_of(matching.model)
-        p = link_probabilities(edges, evidence, *places, elapsed_s=dt, flow_map=flow_map, model=model)
+        p = link_probabilities(edges, evidence, *places, elapsed_s=dt, flow=flow, model=model)
         log_odds, log_known = against_none(edges, p), CONTEXT * np.log(np.maximum(p, LEAST_KNOWN))
     return log_odds, log_odds - evidence.log_odds + evidence.log_prior, log_known
 

@@ -57,12 +57,19 @@ class Scene:
     axes: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
 
-def link(s: Sightings, matching: MatchingParams, params: TrackingParams, flow_map: FlowMap | None = None) -> Chains:
-    """Return the chains of one sequence."""
+def link(
+    s: Sightings,
+    matching: MatchingParams,
+    params: TrackingParams,
+    flow_map: FlowMap | None = None,
+    *,
+    colour: ColourParams | None = None,
+) -> Chains:
+    """Return the chains of one sequence; *colour*: spreads of colour, where they are known before."""
     limit_s = max(params.link.coast_s, (params.link.coast_frames + 1) * s.interval_s) + 0.05 * s.interval_s
     density = np.log(local_density(s.first, s.frame, s.xy, DENSITY_RADIUS_M))
-    scene = _repainted(Scene(s, density, limit_s, matching, params), matching.colour.wide())
-    if s.rgb is not None:
+    scene = _repainted(Scene(s, density, limit_s, matching, params), colour or matching.colour.wide())
+    if s.rgb is not None and colour is None:
         every = max(1, len(s.frame_s) // SAMPLE_FRAMES)
         sample = pair_links(s, scene.paint, scene.log_colour, matching, limit_s, every=every, flow_map=flow_map)
         scene = _relearned(scene, _chains(len(s), sample), SURE_PAIR)
@@ -87,14 +94,18 @@ def _repainted(scene: Scene, colour: ColourParams) -> Scene:
 
 def _relearned(scene: Scene, chains: Chains, sure: float) -> Scene:
     """Return the scene with the spreads of colour that its own surest links show."""
-    rgb, assumed = scene.s.rgb, scene.matching.colour
-    if rgb is None or assumed.first_guess == 1:
-        return _repainted(scene, assumed)
-    s, after = scene.s, chains.after
+    return _repainted(scene, colour_of(scene.s, chains, scene.matching.colour, sure=sure))
+
+
+def colour_of(s: Sightings, chains: Chains, assumed: ColourParams, *, sure: float = SURE_LINK) -> ColourParams:
+    """Return the spreads of colour that links of more than the belief *sure* show, where *assumed* may be changed."""
+    if s.rgb is None or assumed.first_guess == 1:
+        return assumed
+    after = chains.after
     # what stands looks more alike from frame to frame than what drives
     moved = np.hypot(*(s.xy[after] - s.xy).T) > MOVING_MPS * np.abs(s.t[after] - s.t)
     i = np.flatnonzero((after >= 0) & (chains.probability > sure) & moved)
-    return _repainted(scene, learned_noise(rgb[i], rgb[chains.after[i]], assumed))
+    return learned_noise(s.rgb[i], s.rgb[after[i]], assumed)
 
 
 def _links(scene: Scene, pairs: Links, chains: Chains) -> Links:

@@ -57,7 +57,7 @@ def _crossings(paths: Paths, line: LineString, number: int) -> pd.DataFrame:
     corners = shapely.get_coordinates(line)
     found: list[tuple[Ints, Floats, Mask]] = []
     for (ax, ay), (bx, by) in pairwise(corners):
-        near = _near(paths, min(ax, bx), min(ay, by), max(ax, bx), max(ay, by))
+        near = segments_near(paths, min(ax, bx), min(ay, by), max(ax, bx), max(ay, by))
         i = paths.begin[near]
         x0, y0, x1, y1 = paths.x_m[i], paths.y_m[i], paths.x_m[i + 1], paths.y_m[i + 1]
         side0 = (bx - ax) * (y0 - ay) - (by - ay) * (x0 - ax)
@@ -71,7 +71,7 @@ def _crossings(paths: Paths, line: LineString, number: int) -> pd.DataFrame:
     return _table(paths, segment[order], share[order], forward[order], number)
 
 
-def _near(paths: Paths, x0: float, y0: float, x1: float, y1: float) -> Ints:
+def segments_near(paths: Paths, x0: float, y0: float, x1: float, y1: float) -> Ints:
     """Return the segments whose bounding box meets the box."""
     i = paths.begin
     xa, xb, ya, yb = paths.x_m[i], paths.x_m[i + 1], paths.y_m[i], paths.y_m[i + 1]

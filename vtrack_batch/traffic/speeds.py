@@ -32,27 +32,7 @@ def speeds_table(
     """
     samples = speed_samples(crossings, stays, coverage, params=params)
     cells = grid(pd.DataFrame({"place": np.arange(len(places))}), coverage.bins)
-    row = cell_of(cells, samples, ["place", "bin"])
-    groups = samples.groupby(row)
-    speed = groups["speed_mps"]
-    percentiles = (
-        speed.quantile(np.array([0.15, 0.5, 0.85])).unstack()
-        if len(samples)
-        else pd.DataFrame(columns=[0.15, 0.5, 0.85])
-    )
-    many = speed.count()
-    spread: pd.Series = (speed.std() / np.sqrt(many)).fillna(groups["sigma_mps"].first())
-    measured = pd.DataFrame(
-        {
-            "vehicles": many,
-            "time_mean_mps": speed.mean(),
-            "space_mean_mps": groups["distance_m"].sum() / groups["time_s"].sum(),
-            "p15_mps": percentiles[0.15],
-            "p50_mps": percentiles[0.5],
-            "p85_mps": percentiles[0.85],
-            "standard_error_mps": spread,
-        }
-    ).reindex(np.arange(len(cells)))
+    measured = _summaries(samples, cell_of(cells, samples, ["place", "bin"])).reindex(np.arange(len(cells)))
     cells = pd.concat([cells, measured.assign(vehicles=measured["vehicles"].fillna(0))], axis=1)
     observed_s = observed_seconds(cells, places, coverage)
     some = cells["vehicles"].to_numpy(float) > 0
@@ -88,3 +68,27 @@ def observed_seconds(cells: pd.DataFrame, places: Sequence[Place], coverage: Cov
 def named(cells: pd.DataFrame, places: Sequence[Place]) -> pd.Series:
     """Return the ids of the places whose numbers the rows hold."""
     return cells["place"].map(names_of(places))
+
+
+def _summaries(samples: pd.DataFrame, row: np.ndarray) -> pd.DataFrame:
+    """Return number, means, percentiles and standard error of the speeds, by the *row* (n,) that they belong to."""
+    groups = samples.groupby(row)
+    speed = groups["speed_mps"]
+    percentiles = (
+        speed.quantile(np.array([0.15, 0.5, 0.85])).unstack()
+        if len(samples)
+        else pd.DataFrame(columns=[0.15, 0.5, 0.85])
+    )
+    many = speed.count()
+    spread: pd.Series = (speed.std() / np.sqrt(many)).fillna(groups["sigma_mps"].first())
+    return pd.DataFrame(
+        {
+            "vehicles": many,
+            "time_mean_mps": speed.mean(),
+            "space_mean_mps": groups["distance_m"].sum() / groups["time_s"].sum(),
+            "p15_mps": percentiles[0.15],
+            "p50_mps": percentiles[0.5],
+            "p85_mps": percentiles[0.85],
+            "standard_error_mps": spread,
+        }
+    )

@@ -11,7 +11,7 @@ import shapely
 from shapely.geometry import Polygon
 
 from vtrack_batch.traffic.bins import Bins
-from vtrack_batch.traffic.crossings import _near
+from vtrack_batch.traffic.crossings import segments_near
 from vtrack_batch.traffic.paths import Floats, Ints, Paths
 from vtrack_batch.traffic.places import Place
 
@@ -58,7 +58,7 @@ def clip(paths: Paths, area: Polygon) -> Pieces:
     Segments that do not touch the border are inside or outside as a whole; the few others are cut at every edge and
     each part is judged by its middle.
     """
-    near = _near(paths, *area.bounds)
+    near = segments_near(paths, *area.bounds)
     i = paths.begin[near]
     x0, y0, x1, y1 = paths.x_m[i], paths.y_m[i], paths.x_m[i + 1], paths.y_m[i + 1]
     border = area.boundary

@@ -174,7 +174,8 @@ def _shape(geometry: Any) -> BaseGeometry | None:
 def _zone(feature: Any, to_ground: Transform, problems: list[str]) -> Zone | None:
     """Return the zone of one feature, None where *problems* were added that leave nothing to go on with."""
     if not isinstance(feature, dict) or feature.get("type") != "Feature":
-        problems.append("expected an object of type Feature")
+        found = feature.get("type") if isinstance(feature, dict) else type(feature).__name__
+        problems.append(f"expected an object of type Feature, found {found!r}")
         return None
     properties = feature.get("properties") or {}
     if not isinstance(properties, dict):
@@ -238,11 +239,11 @@ def _ground_shape(geometry: Any, role: str, to_ground: Transform, problems: list
         return None
     drawn = _shape(geometry)
     if drawn is None or drawn.is_empty:
-        problems.append("geometry: empty or not readable" if drawn is not None else f"geometry: malformed {kind}")
+        problems.append(f"geometry: {'empty' if drawn is not None else 'malformed'} {kind}; draw it anew")
         return None
     ground = shapely.transform(drawn, to_ground)
     if not np.isfinite(shapely.get_coordinates(ground)).all():
-        problems.append("geometry: some coordinates cannot be transformed to the survey's CRS")
+        problems.append("geometry: some coordinates have no place in the survey's CRS; is the file's `crs` right?")
     elif not ground.is_valid:
         problems.append(f"geometry: {_explained(ground)}")
     elif ground.length == 0 or (kind == "Polygon" and ground.area == 0):

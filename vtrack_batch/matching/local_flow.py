@@ -1,0 +1,292 @@
+"""What a flow map says between two moments: of the places of the vehicles then and now, and of ways between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from vtrack_batch.matching.candidates import Array, Edges, Index, bell
+
+NEAREST = 32  # motions that speak for a place
+VOTERS = 48  # motions that are asked in finer detail
+ALIKE = np.array([1, 8, 24])  # ranks of the motions alike to which distances are told
+PLACE_RANK = 8  # of the motion whose distance tells how well a place is known
+ALIKE_M, ALIKE_MPS = 4.0, 5.0  # a motion is like another up to this distance, plus this much a second
+UNKNOWN_M = 6.0  # places farther than this from the 8th motion are not known
+PLACE_M = 4.0  # how far they speak (Gaussian sigma)
+SEARCH_M, WIDER = 8.0, 2.0  # motions are first sought so near; so many times as far, if these are too few
+SQUARE_M, MOST_SQUARES = 4.0, 250_000  # motions are sorted into squares of this side, or larger ones
+NOTHING = 50.0  # squared distance, in variances, from which on a vote adds nothing
+
+
+class Motions(NamedTuple):
+    """Motions in squares of the place at one of their ends (a named tuple, because compiled code reads it).
+
+    ``here`` (n, 2) that end, ``there`` (n, 2) the other one; those in square c are the rows from ``first[c]`` on;
+    squares go by rows of ``shape[1]`` each. ``origin`` is the corner of the first and the ``side`` of all.
+    """
+
+    here: Array
+    there: Array
+    first: Index
+    shape: tuple[int, int]
+    origin: tuple[float, float, float]
+
+    @classmethod
+    def of(cls, here: Array, there: Array) -> Motions:
+        """Sort motions by their ends *here*."""
+        low, extent = here.min(axis=0), np.ptp(here, axis=0)
+        side = max(SQUARE_M, float(np.sqrt(extent.prod() / MOST_SQUARES)), float(extent.max()) / MOST_SQUARES)
+        square = np.floor((here - low) / side).astype(np.int64)
+        columns, rows = (int(n) + 1 for n in square.max(axis=0))
+        code = square[:, 1] * columns + square[:, 0]
+        order = np.argsort(code, kind="stable")
+        first = np.searchsorted(code[order], np.arange(rows * columns + 1))
+        return cls(here[order], there[order], first, (rows, columns), (float(low[0]), float(low[1]), side))
+
+
+@dataclass(frozen=True)
+class LocalFlow:
+    """Motions of a map that last *elapsed_s*, asked from places (n, 2) of one moment and (m, 2) of a later one.
+
+    ``spread_m`` is how far displacements of vehicles at one place differ.
+    """
+
+    starting: Motions
+    ending: Motions
+    earlier_xy: Array
+    later_xy: Array
+    elapsed_s: float
+    spread_m: float
+
+    @cached_property
+    def _from(self) -> tuple[Array, Index]:
+        """Distances (n, v) and rows of the motions that start nearest to the earlier places."""
+        return _nearest(self.starting, self.earlier_xy, _ranks(len(self.starting.here)))
+
+    @cached_property
+    def _to(self) -> tuple[Array, Index]:
+        """Distances (m, v) and rows of the motions that end nearest to the later places."""
+        return _nearest(self.ending, self.later_xy, _ranks(len(self.ending.here)))
+
+    def possible(self, edges: Edges) -> NDArray[np.bool_]:
+        """Tell which *edges* (e,) are like a motion ever seen, or lead through the unknown."""
+        rank = min(PLACE_RANK, len(self.starting.here)) - 1
+        unknown_from, unknown_to = self._from[0][:, rank] > UNKNOWN_M, self._to[0][:, rank] > UNKNOWN_M
+        alike_m = ALIKE_M + ALIKE_MPS * self.elapsed_s
+        alike = _any_alike(self.starting, edges.first, edges.k, self.earlier_xy, self.later_xy, alike_m)
+        return np.asarray(alike | unknown_from[edges.i] | unknown_to[edges.k])
+
+    def mixed(self, edges: Edges, prior: Array, *, prior_weight: float) -> Array:
+        """Return densities (e,) of displacements: the *prior* (e,) where nothing was seen.
+
+        Like the votes of neighbours: (κ prior + Σ w N(d; v t)) / (κ + Σ w), with κ = *prior_weight*.
+        """
+        away, rows = (np.ascontiguousarray(of[:, :NEAREST]) for of in self._from)
+        weight = np.exp(-0.5 * (away / PLACE_M) ** 2)
+        moved = (self.starting.there - self.starting.here)[rows]
+        votes = _votes(edges.i, edges.displacement, *_by_axis(moved), weight, np.array([self.spread_m]))[:, 0]
+        votes /= 2 * np.pi * self.spread_m**2
+        return np.asarray((prior_weight * prior + votes) / (prior_weight + weight.sum(axis=1)[edges.i]))
+
+    def evidence(self, edges: Edges) -> Array:
+        """Return what the map knows of *edges*, as ten columns (e, 10).
+
+        Distances (m) to the 1st, 8th and 24th most similar motion, to the 8th start and the 8th end of any motion; log
+        shares of the motions that start (end) nearby and go (come) the same way, narrowly and widely; log of their
+        number.
+        """
+        size = len(self.starting.here)
+        ranks = np.minimum(ALIKE, size) - 1
+        alike = _most_alike(self.starting, edges.first, edges.k, self.earlier_xy, self.later_xy, ranks)
+        rank = min(PLACE_RANK, size) - 1
+        there, here = self._from[0][edges.i, rank], self._to[0][edges.k, rank]
+        forward = self._shares(edges.i, self.later_xy[edges.k], self.starting, self._from)
+        backward = self._shares(edges.k, self.earlier_xy[edges.i], self.ending, self._to)
+        return np.column_stack([alike, there, here, forward, backward, np.full(len(edges), np.log(size))])
+
+    def _shares(self, place: Index, other: Array, motions: Motions, found: tuple[Array, Index]) -> Array:
+        """Return the log shares (e, 2) of the motions nearest to each *place* whose far end is near *other* (e, 2)."""
+        away, rows = found
+        weight = np.exp(-0.5 * (away / PLACE_M) ** 2)
+        spreads = np.array([0.7 + 0.35 * self.elapsed_s, 0.8 + 1.2 * self.elapsed_s])
+        votes = _votes(place, other, *_by_axis(motions.there[rows]), weight, spreads)
+        return np.log((votes + 0.02) / (weight.sum(axis=1)[place, None] + 1))
+
+
+def _ranks(size: int) -> Index:
+    """Return the ranks that matter, descending, among *size* motions."""
+    return np.unique(np.minimum([VOTERS, NEAREST, PLACE_RANK], size))[::-1] - 1
+
+
+def _by_axis(points: Array) -> tuple[Array, Array]:
+    return np.ascontiguousarray(points[..., 0]), np.ascontiguousarray(points[..., 1])
+
+
+class Found(NamedTuple):
+    """Room for the motions found near a place: squared distance of this end, row, and place of the other end."""
+
+    square: Array
+    row: Index
+    x: Array
+    y: Array
+    sum: Array
+
+
+@njit(cache=True, nogil=True)
+def _room(size):  # type: ignore[no-untyped-def]
+    return Found(np.empty(size), np.empty(size, np.int64), np.empty(size), np.empty(size), np.empty(size))
+
+
+@njit(cache=True, nogil=True)
+def _within(motions, x, y, radius, found):  # type: ignore[no-untyped-def]
+    """Write what lies within *radius* of (x, y); returns how many motions do."""
+    rows, columns = motions.shape
+    left, low, side = motions.origin
+    a = int(min(max(np.floor((x - radius - left) / side), 0.0), columns - 1.0))
+    b = int(min(max(np.floor((x + radius - left) / side), 0.0), columns - 1.0))
+    c = int(min(max(np.floor((y - radius - low) / side), 0.0), rows - 1.0))
+    d = int(min(max(np.floor((y + radius - low) / side), 0.0), rows - 1.0))
+    count, limit = 0, radius * radius
+    for row in range(c, d + 1):
+        for s in range(motions.first[row * columns + a], motions.first[row * columns + b + 1]):
+            dx, dy = motions.here[s, 0] - x, motions.here[s, 1] - y
+            square = dx * dx + dy * dy
+            if square <= limit:
+                found.square[count], found.row[count] = square, s
+                found.x[count], found.y[count] = motions.there[s, 0], motions.there[s, 1]
+                count += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _select(key, row, count, rank):  # type: ignore[no-untyped-def]
+    """Reorder *count* keys and rows so that the key at *rank* has none greater before it and none less behind it.
+
+    Source: C. A. R. Hoare, "Algorithm 65: Find", CACM 4 (1961).
+    """
+    low, high = 0, count - 1
+    while low < high:
+        a, b, c = key[low], key[(low + high) // 2], key[high]
+        pivot = max(min(a, b), min(max(a, b), c))
+        i, j = low, high
+        while i <= j:
+            while key[i] < pivot:
+                i += 1
+            while key[j] > pivot:
+                j -= 1
+            if i <= j:
+                key[i], key[j] = key[j], key[i]
+                row[i], row[j] = row[j], row[i]
+                i, j = i + 1, j - 1
+        if rank <= j:
+            high = j
+        elif rank >= i:
+            low = i
+        else:
+            return
+
+
+@njit(cache=True, nogil=True)
+def _nearest(motions, places, ranks):  # type: ignore[no-untyped-def]
+    """Return distances (p, c) and rows (p, c) of the motions nearest to *places* (p, 2).
+
+    *ranks*, descending, are those in whose place the distance of that rank stands; there are ``ranks[0] + 1``.
+    """
+    count = ranks[0] + 1
+    away, rows = np.empty((len(places), count)), np.empty((len(places), count), np.int64)
+    found = _room(len(motions.here))
+    for p in range(len(places)):
+        near, radius = 0, SEARCH_M
+        while near < count:
+            near = _within(motions, places[p, 0], places[p, 1], radius, found)
+            radius *= WIDER
+        for rank in ranks:
+            _select(found.square, found.row, near, rank)
+            near = rank
+        for c in range(count):
+            away[p, c], rows[p, c] = np.sqrt(found.square[c]), found.row[c]
+    return away, rows
+
+
+@njit(cache=True, nogil=True)
+def _any_alike(motions, first, k, earlier_xy, later_xy, radius):  # type: ignore[no-untyped-def]
+    """Tell which edges have a motion less than *radius* away, the distances at both ends taken together."""
+    alike, limit, found = np.zeros(len(k), np.bool_), radius * radius, _room(len(motions.here))
+    for i in range(len(earlier_xy)):
+        if first[i] == first[i + 1]:
+            continue
+        near = _within(motions, earlier_xy[i, 0], earlier_xy[i, 1], radius, found)
+        for e in range(first[i], first[i + 1]):
+            x, y = later_xy[k[e], 0], later_xy[k[e], 1]
+            for s in range(near):
+                dx, dy = found.x[s] - x, found.y[s] - y
+                if found.square[s] + dx * dx + dy * dy < limit:
+                    alike[e] = True
+                    break
+    return alike
+
+
+@njit(cache=True, nogil=True)
+def _most_alike(motions, first, k, earlier_xy, later_xy, ranks):  # type: ignore[no-untyped-def]
+    """Return the distances (e, r) to the motions of certain *ranks* (r,), by distance at both ends taken together."""
+    out, best, told = np.empty((len(k), len(ranks))), np.empty(ranks[-1] + 1), np.zeros(len(k), np.bool_)
+    found = _room(len(motions.here))
+    for i in range(len(earlier_xy)):
+        radius, left = 2 * SEARCH_M, first[i + 1] - first[i]
+        while left:
+            near = _within(motions, earlier_xy[i, 0], earlier_xy[i, 1], radius, found)
+            # what starts farther away is farther away altogether
+            limit = radius * radius if near < len(motions.here) else np.inf
+            for e in range(first[i], first[i + 1]):
+                if told[e]:
+                    continue
+                _least(found, near, later_xy[k[e], 0], later_xy[k[e], 1], limit, best)
+                if best[-1] < limit or limit == np.inf:
+                    told[e] = True
+                    left -= 1
+                    for r in range(len(ranks)):
+                        out[e, r] = np.sqrt(best[ranks[r]])
+            radius *= WIDER
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _least(found, near, x, y, limit, best):  # type: ignore[no-untyped-def]
+    """Write the least sums of the squared distances at both ends of motions, ascending, to *best*."""
+    for s in range(near):
+        dx, dy = found.x[s] - x, found.y[s] - y
+        found.sum[s] = found.square[s] + dx * dx + dy * dy
+    best[:], last = limit, len(best) - 1
+    for s in range(near):
+        if found.sum[s] < best[last]:
+            to = last
+            while to > 0 and best[to - 1] > found.sum[s]:
+                best[to] = best[to - 1]
+                to -= 1
+            best[to] = found.sum[s]
+
+
+@njit(cache=True, nogil=True)
+def _votes(place, other, x, y, weight, spreads):  # type: ignore[no-untyped-def]
+    """Sum (e, s) over the motions of each edge's *place*: their weight, the less the farther they are from *other*.
+
+    *x*, *y* and *weight* (p, v) are those of the motions of each place; *spreads* (s,) of the Gaussians.
+    """
+    out, vote = np.zeros((len(place), len(spreads))), np.empty(weight.shape[1])
+    for e in range(len(place)):
+        p = place[e]
+        for s in range(len(spreads)):
+            narrow = 1 / spreads[s] ** 2
+            for v in range(len(vote)):
+                z = ((x[p, v] - other[e, 0]) ** 2 + (y[p, v] - other[e, 1]) ** 2) * narrow
+                near = bell(min(z, NOTHING)) * weight[p, v]
+                vote[v] = near if z < NOTHING else 0.0
+            for v in range(len(vote)):
+                out[e, s] += vote[v]
+    return out
