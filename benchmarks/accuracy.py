@@ -5,7 +5,6 @@ Runs with default parameters on the simulated demo and on the archives beside th
 
 from __future__ import annotations
 
-import json
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
@@ -13,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import vtrack_batch as vt
-from benchmarks.page import ACCURACY, PROJECT, SHARED, stamp, write_section
+from benchmarks.archives import CITY, CITY_GSD_M, MUNICH, MUNICH_GSD_M, survey_of
+from benchmarks.page import ACCURACY, PROJECT, stamp, write_section
 from vtrack_batch.config.load import load_params
 from vtrack_batch.evaluation.evaluate import evaluate
 from vtrack_batch.evaluation.load import load_result, load_truth
@@ -21,8 +21,8 @@ from vtrack_batch.simulation.params import Scenario
 from vtrack_batch.simulation.write import simulate
 
 ARCHIVES = {
-    "rendered city, 0.33 m, 1.5 s": (SHARED / "rendered" / "city", 0.33),
-    "KIT AIS MunichStreet02, 0.12 m, 0.5 s": (SHARED / "kit-ais" / "MunichStreet02", 0.12),
+    "rendered city, 0.33 m, 1.5 s": (CITY, CITY_GSD_M),
+    "KIT AIS MunichStreet02, 0.12 m, 0.5 s": (MUNICH, MUNICH_GSD_M),
 }
 DEMO_SEEDS = (20260517, 11, 12)
 SCORES = {
@@ -72,14 +72,7 @@ def measured() -> Iterator[tuple[str, Mapping[str, Any]]]:
             yield f"simulated crossing, seed {seed}", run(folder / "survey.yaml", folder / "truth")
         for name, (archive, gsd_m) in ARCHIVES.items():
             if archive.is_dir():
-                folder = Path(place) / archive.name
-                folder.mkdir()
-                sections = {
-                    "archive": {"root": str(archive / "frames"), "index": str(archive / "times.csv")},
-                    "georeference": {"gsd_m": gsd_m},
-                }
-                (folder / "survey.yaml").write_text(json.dumps(sections))
-                yield name, run(folder / "survey.yaml", archive)
+                yield name, run(survey_of(archive, gsd_m, Path(place) / archive.name), archive)
 
 
 def run(survey: Path, truth: Path) -> Mapping[str, Any]:

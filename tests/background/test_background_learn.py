@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -62,7 +63,7 @@ def test_exposure_drift_is_taken_out() -> None:
 
 
 def test_order_of_samples_does_not_matter() -> None:
-    samples = passing(gain=0.1)
+    samples = [replace(sample, taken_s=1.5 * i) for i, sample in enumerate(passing(gain=0.1))]
     shuffled = [samples[i] for i in (0, 7, 3, 11, 1, 2, 10, 4, 9, 5, 8, 6)]
     one, other = (learn_background(order, params=PARAMS) for order in (samples, shuffled))
     assert one.levels.tobytes() == other.levels.tobytes()
@@ -88,6 +89,31 @@ def test_road_is_found_under_a_queue_that_stands_most_of_the_time() -> None:
     background = learn_background(samples, params=PARAMS)
     found = background.pixels[78:84, 120:134].reshape(-1, 3).mean(axis=0)
     assert np.abs(found - ground()[78:84, 120:134].reshape(-1, 3).mean(axis=0)).max() < 8
+
+
+def test_car_that_stands_nearly_all_the_time_is_not_ground() -> None:
+    samples = []
+    for i in range(20):
+        land = ground()
+        land[66:72, 8 * i % 200 : 8 * i % 200 + 14] = (240, 240, 240)
+        if 1 <= i < 18:
+            land[78:84, 120:134] = (20, 40, 140)
+        samples.append(Sample(shot(land, i), np.eye(3), 1.5 * i))
+    found = learn_background(samples, params=PARAMS).pixels[78:84, 120:134].reshape(-1, 3).astype(float)
+    road = ground()[78:84, 120:134].reshape(-1, 3)
+    assert np.abs(found.mean(axis=0) - road.mean(axis=0)).max() < 4
+
+
+def test_ground_that_cars_leave_between_them_keeps_its_paint() -> None:
+    samples = []
+    for i in range(20):
+        land = ground()
+        land[70:76, 100:160] = (150, 60, 50)
+        if i % 3 == 1:
+            land[70:76, 118:134] = (240, 240, 235) if i % 2 else (40, 42, 45)
+        samples.append(Sample(shot(land, i), np.eye(3), 1.5 * i))
+    found = learn_background(samples, params=PARAMS).pixels[71:75, 120:132].reshape(-1, 3).astype(float)
+    assert np.abs(found.mean(axis=0) - (150, 60, 50)).max() < 6
 
 
 def grey_queue() -> Background:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -149,3 +151,16 @@ def test_chains_that_end_with_a_stop_teach_the_road_as_well() -> None:
     place = learn(frames, [np.eye(3)] * 4, np.arange(4.0))
     assert place.learned
     assert place.on_road(np.array([[43.0, 36.0], [43.0, 90.0]])).tolist() == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("half_m", "angle", "kept"), [(2.2, 0.0, True), (2.2, 90.0, True), (8.5, 0.0, True), (8.5, 60.0, False)]
+)
+def test_a_vehicle_lies_on_the_road_from_front_to_back(half_m: float, angle: float, kept: bool) -> None:
+    place = learn(*archive())
+    one = candidates([(60.0, 20.5, angle, 0.52)])
+    longer = half_m / 2.2
+    one = replace(one, lx_px=one.lx_px * longer, ly_px=one.ly_px * longer)
+    assert select(
+        one, np.eye(3), replace(place, chained=(np.zeros(0, np.int64),)), frame=0, params=PARAMS
+    ).tolist() == [kept]

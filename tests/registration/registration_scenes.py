@@ -7,6 +7,8 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
+from vtrack_batch.model import homography
+
 ROWS, COLUMNS, MARGIN = 300, 460, 120
 
 
@@ -54,3 +56,36 @@ def camera() -> View:
         return np.clip(pixels + grain, 0, 255).astype(np.uint8)
 
     return look
+
+
+SCENE = make_scene(7)
+_INWARD = np.array([[1, 0, MARGIN], [0, 1, MARGIN], [0, 0, 1.0]])
+
+
+def wave(size_px: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Return a smooth, lopsided displacement of points (n, 2) of up to *size_px*, in x more than in y."""
+
+    def shift(points: np.ndarray) -> np.ndarray:
+        x, y = np.asarray(points, float).T
+        return size_px * np.stack([np.sin(x / 90 + 0.4), 0.6 * np.cos(y / 70 + x / 300)], axis=1)
+
+    return shift
+
+
+def view(
+    pose: np.ndarray | None = None,
+    shift: Callable[[np.ndarray], np.ndarray] | None = None,
+    *,
+    seed: int = 1,
+    noise: float = 2.0,
+    scene: np.ndarray = SCENE,
+) -> np.ndarray:
+    """Return a frame with a *pose* (3, 3): it shows at p what a straight one shows at p - shift(p)."""
+    columns, rows = np.meshgrid(np.arange(COLUMNS, dtype=float), np.arange(ROWS, dtype=float))
+    points = np.stack([columns.ravel(), rows.ravel()], axis=1)
+    straight = points if shift is None else points - shift(points)
+    at = homography.apply(_INWARD @ (np.eye(3) if pose is None else pose), straight).astype(np.float32)
+    maps = at[:, 0].reshape(ROWS, COLUMNS), at[:, 1].reshape(ROWS, COLUMNS)
+    pixels = cv2.remap(scene, *maps, cv2.INTER_CUBIC)
+    grain = np.random.default_rng(seed).normal(0, noise, pixels.shape)
+    return np.clip(np.rint(pixels + grain), 0, 255).astype(np.uint8)

@@ -95,3 +95,15 @@ def test_few_frames_tell_nothing(looks, count):
     steady, poses = steady_patches(reference, laid[:count], params=PARAMS)
     assert steady is reference
     np.testing.assert_array_equal(poses, [frame.frame_to_reference for frame in laid[:count]])
+
+
+def test_every_part_of_the_frame_keeps_its_share(looks):
+    reference, laid = looks
+    steady, _ = steady_patches(reference, laid, params=PARAMS)
+
+    def parts(centres):
+        column, row = (centres * 4 / [COLUMNS, ROWS]).astype(int).clip(0, 3).T
+        return np.bincount(4 * row + column, minlength=16)
+
+    share = parts(steady.centres_px) / parts(reference.centres_px)
+    assert 0.15 < share.min() <= share.max() < 0.55

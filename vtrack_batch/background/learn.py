@@ -24,7 +24,7 @@ _POINT_STEP_PX = 3
 _UNSEEN_TOLERANCE = 255
 _SHADOW_SAMPLES = 7
 _FEWEST_FOR_MODE = 5
-_LEAST_TRAFFIC = 1.5
+_LEAST_TRAFFIC, _MOST_TRAFFIC = 1.5, 0.16
 _THIRD = 3
 _WHOLLY = 0.999
 _USUAL_METRES_PER_PX = 0.33
@@ -86,9 +86,10 @@ def learn_background(
 ) -> Background:
     """Learn the ground from *samples*, all of one size; the one with the identity as homography is the reference.
 
+    Samples in any order give the same, if they say when they were taken; otherwise they count as in order of time.
     *metres_per_px* of the reference says how large vehicles look.
 
-    Without such a sample the first gives the exposure. One sample is its own background; two are averaged.
+    Without a reference the first gives the exposure. One sample is its own background; two are averaged.
 
     Raises ValueError if there is no sample or sizes differ.
     """
@@ -96,6 +97,7 @@ def learn_background(
         raise ValueError("a background needs at least one sample")
     if len({sample.pixels.shape for sample in samples}) > 1:
         raise ValueError("samples of one background must have one size")
+    samples = sorted(samples, key=lambda sample: sample.taken_s)
     stacks = Stacks(samples, _exposures(samples, params))
     strips = _strips(samples[0].pixels.shape[0])
     height, width = samples[0].pixels.shape[:2]
@@ -170,7 +172,7 @@ def _free_busy_places(
     pixels, spread, changed = learned
     busy = changed > params.busy_share
     traffic = changed > _LEAST_TRAFFIC / len(stacks.samples)
-    traffic &= changed <= 0.8 * params.busy_share
+    traffic &= changed <= _MOST_TRAFFIC
     road = road_nearby(pixels, traffic)
     for (top, bottom), left in product(strips, range(0, busy.shape[1], _BUSY_COLUMNS)):
         at = slice(top, bottom), slice(left, left + _BUSY_COLUMNS)

@@ -3,7 +3,8 @@
 Three things tell ground from vehicles there. Samples agree on it: vehicles differ in colour, the ground does not. It is
 calm: a window as large as a car holds edges wherever a vehicle or its shadow is. And it looks like the road nearby. So
 the samples vote, calm ones more, each for the colours near its own, and the road nearby votes too: a mode with weights
-(kernel density estimate, Parzen 1962).
+(kernel density estimate, Parzen 1962). Ground comes back after every vehicle; a vehicle stands once: however long one
+colour stays without a break, it has no more than two votes.
 """
 
 from __future__ import annotations
@@ -20,10 +21,11 @@ _ENOUGH = 0.03
 _SAME = 8.0
 _LIKE_ROAD = 25.0
 _ROAD_VOTES = 2.0
+_STAY_VOTES = 2.0
+_AGREES = 0.3
 _CALM = 16.0
 _NEAR = 40.0
 _KIND_APART = 0.85
-_KIND_ON_ROAD = 0.6
 
 
 def road_nearby(pixels: NDArray[np.uint8], traffic: NDArray[np.bool_]) -> NDArray[np.uint8]:
@@ -62,9 +64,9 @@ def unrest(stack: NDArray[np.uint8], window_px: int) -> NDArray[np.uint8]:
 def replace_busy(image, spread, stack, covered, restless, busy, road):  # type: ignore[no-untyped-def]
     """Overwrite *image* (h, w, 3) and *spread* (h, w), uint8, where *busy* (h, w) bool, by the mode of *stack*.
 
-    *stack* (n, h, w, 3) uint8 counts where *covered* (n, h, w) bool, the less, the more *restless* (n, h, w) uint8 it
-    is; *road* (h, w, 3) uint8 = colour of road nearby, 0 = none. The spread becomes that of the samples like the mode,
-    where these are a kind of their own.
+    *stack* (n, h, w, 3) uint8, in order of time, counts where *covered* (n, h, w) bool, the less, the more *restless*
+    (n, h, w) uint8 it is; *road* (h, w, 3) uint8 = colour of road nearby, 0 = none. The spread becomes that of the
+    samples like the mode, where these are a kind of their own.
     """
     count = stack.shape[0]
     levels, weight = np.empty((count, 3)), np.empty(count)
@@ -88,7 +90,7 @@ def replace_busy(image, spread, stack, covered, restless, busy, road):  # type: 
             for k in range(3):
                 image[r, c, k] = int(_mean_near(levels, weight, n, best, k) + 0.5)
             on_road = _apart(road[r, c], image[r, c]) <= _LIKE_ROAD
-            spread[r, c] = _spread_near(levels, weight, n, image[r, c], _KIND_ON_ROAD if on_road else _KIND_APART)
+            spread[r, c] = _spread_near(levels, weight, n, image[r, c], 0.0 if on_road else _KIND_APART)
 
 
 @njit(cache=True, nogil=True)
@@ -97,9 +99,15 @@ def _most_voted(levels, weight, n, road):  # type: ignore[no-untyped-def]
     known = np.int64(road[0]) + np.int64(road[1]) + np.int64(road[2]) > 0
     best, most = 0, -1.0
     for j in range(n):
-        votes = 0.0
+        votes, stay = 0.0, 0.0
         for i in range(n):
-            votes += weight[i] * min(max(2.0 - _apart(levels[i], levels[j]) / _SAME, 0.0), 1.0)
+            likeness = min(max(2.0 - _apart(levels[i], levels[j]) / _SAME, 0.0), 1.0)
+            if likeness > _AGREES:
+                stay += likeness * weight[i]
+            else:
+                votes += min(stay, _STAY_VOTES)
+                stay = 0.0
+        votes += min(stay, _STAY_VOTES)
         if known:
             votes += _ROAD_VOTES * np.exp(-((_apart(road, levels[j]) / _LIKE_ROAD) ** 2))
         if votes > most:
@@ -122,6 +130,7 @@ def _spread_near(levels, weight, n, ground, kind_apart):  # type: ignore[no-unty
     """The deviation that a third of the samples stay below: of those like the ground, where these are a kind apart.
 
     Among calm samples, vehicles leave a gap between the ground's levels and theirs; trees and leaning walls show all.
+    On a road it is vehicles that come and go: *kind_apart* is 0.
     """
     counts = np.zeros(256, np.int64)
     like, near = 0.0, 0.0

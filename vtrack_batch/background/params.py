@@ -24,7 +24,7 @@ class BackgroundParams(Params):
     )
     spread_limit_levels: float = Field(20.0, ge=0, description="most that the spread over time adds to the tolerance")
     busy_share: float = Field(
-        0.2, gt=0, lt=1, description="share of samples that differ from the median, above which the mode decides"
+        0.07, gt=0, lt=1, description="share of samples that differ from the median, above which the mode decides"
     )
     calm_window_m: float = Field(
         4.0, gt=0, description="side of the window around a place that is calm where no vehicle is: as long as a car"

@@ -30,10 +30,14 @@ class Rows(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """A frame and its homography to the block's reference frame; few rows of the frame are asked for at a time."""
+    """A frame, its homography to the block's reference frame, and when it was taken, in seconds from any start.
+
+    Few rows of the frame are asked for at a time.
+    """
 
     pixels: Rows
     frame_to_reference: NDArray[np.float64]
+    taken_s: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

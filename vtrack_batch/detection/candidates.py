@@ -51,6 +51,11 @@ class Candidates:
         """Return the candidates that a mask or an array of indices chooses."""
         return Candidates(**{field.name: getattr(self, field.name)[chosen] for field in fields(self)})
 
+    def joined(self, others: Candidates) -> Candidates:
+        """Return these candidates and then the *others*."""
+        names = [field.name for field in fields(self)]
+        return Candidates(**{name: np.concatenate([getattr(self, name), getattr(others, name)]) for name in names})
+
 
 def find_candidates(
     pixels: NDArray[np.uint8],
@@ -64,9 +69,9 @@ def find_candidates(
 
     *metres_per_px* = ground distance of the reference's pixels along columns and rows.
     """
-    steps = (_steps(params.grid_m, metres_per_px[0]), _steps(params.grid_m, metres_per_px[1]))
+    steps = grid_steps(params, metres_per_px)
     to_frame = _grid_to_frame(steps)
-    picture = _reduced(pixels, steps)
+    picture = reduced(pixels, steps)
     px_per_m = _px_per_m(frame_to_reference, pixels.shape, metres_per_px, steps)
     to_ground = np.linalg.inv(to_frame) @ frame_to_reference @ to_frame
     difference = subtract(
@@ -79,7 +84,7 @@ def find_candidates(
     )
     missing = without_data(pixels)
     if missing is not None:
-        difference.classes[_reduced(missing, steps) == 255] = UNSEEN
+        difference.classes[reduced(missing, steps) == 255] = UNSEEN
     shadow = _in_frame(background.shadows.direction, frame_to_reference)
     return candidates_in(picture, difference, px_per_m=px_per_m, steps=steps, shadow=shadow, params=params)
 
@@ -111,8 +116,9 @@ def candidates_in(
 # the grid -------------------------------------------------------------------------------------------------------------
 
 
-def _steps(grid_m: float, metres_per_px: float) -> int:
-    return max(1, round(grid_m / metres_per_px))
+def grid_steps(params: DetectionParams, metres_per_px: tuple[float, float]) -> tuple[int, int]:
+    """Return by how many whole pixels (x, y) frames are reduced to the grid that is worked on."""
+    return max(1, round(params.grid_m / metres_per_px[0])), max(1, round(params.grid_m / metres_per_px[1]))
 
 
 def _grid_to_frame(steps: tuple[int, int]) -> NDArray[np.float64]:
@@ -120,7 +126,8 @@ def _grid_to_frame(steps: tuple[int, int]) -> NDArray[np.float64]:
     return np.array([[steps[0], 0.0, (steps[0] - 1) / 2], [0.0, steps[1], (steps[1] - 1) / 2], [0.0, 0.0, 1.0]])
 
 
-def _reduced(image: NDArray[np.uint8], steps: tuple[int, int]) -> NDArray[np.uint8]:
+def reduced(image: NDArray[np.uint8], steps: tuple[int, int]) -> NDArray[np.uint8]:
+    """Return *image* averaged over *steps* (x, y) pixels."""
     if steps == (1, 1):
         return np.ascontiguousarray(image)
     width, height = image.shape[1] // steps[0], image.shape[0] // steps[1]

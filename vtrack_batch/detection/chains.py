@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -16,6 +17,10 @@ from numpy.typing import NDArray
 from vtrack_batch.detection.params import DetectionParams
 
 Floats = NDArray[np.float64]
+
+_CELL_M = 1.0
+# What goes to and fro does not drive.
+_STRAIGHT = 0.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,20 +40,23 @@ class Chains:
     rows: NDArray[np.int64]
     lines: Floats
 
+    def take(self, chosen: NDArray[np.bool_]) -> Chains:
+        """Return the chains that a mask (m,) chooses."""
+        return Chains(self.frames[chosen], self.rows[chosen], self.lines[chosen])
+
 
 def find_chains(
     frames: Sequence[Sightings], times_s: Floats, *, links: int, least_mps: float, params: DetectionParams
 ) -> Chains:
-    """Return all chains of *links* sightings at successive frames, faster than *least_mps* all the way.
+    """Return all straight chains of *links* sightings at successive frames that begin faster than *least_mps*.
 
     Where frames come faster than ``chain_interval_s``, every s-th frame counts as successive. The speed is nearly
-    constant, along the axis of every box, and colours agree.
+    constant, along the axis of every box, on the whole faster than roofs seem to drift, and colours agree.
     """
     order = np.argsort(times_s, kind="stable")
     step = _frame_step(np.diff(times_s[order]), params.chain_interval_s)
-    limits = np.array(
-        [least_mps, params.fastest_mps, params.chain_miss_m, params.chain_accel_mps2, params.chain_colour]
-    )
+    speeds = least_mps, min(least_mps, params.slow_chain_speed_mps), params.fastest_mps
+    limits = np.array([*speeds, params.chain_miss_m, params.chain_accel_mps2, params.chain_colour])
     where, which = [np.zeros((0, links), np.int64)], [np.zeros((0, links), np.int64)]
     lines = [np.zeros((0, links, 2))]
     for first in range(len(order) - (links - 1) * step):
@@ -65,6 +73,70 @@ def find_chains(
     return Chains(np.concatenate(where), np.concatenate(which), np.concatenate(lines))
 
 
+def supported(
+    kinds: Sequence[Chains], frames: Sequence[Sightings], times_s: Floats, *, params: DetectionParams
+) -> list[Chains]:
+    """Return the chains along which what is seen moves: a share of ``chain_support`` is chained, the rest stands.
+
+    Chance leads from dormer to dormer, and through a crowd, past others that stand; traffic has nothing in its way.
+    What stands is seen again at its place in the frame before or after.
+    """
+    starts = np.cumsum([0, *(len(seen.xy) for seen in frames)])
+    chained = np.zeros(starts[-1], np.bool_)
+    for kind in kinds:
+        chained[starts[kind.frames] + kind.rows] = True
+    if not chained.any():
+        return list(kinds)
+    places, stands = np.concatenate([seen.xy for seen in frames]), _standing(frames, times_s, params)
+    origin = places.min(axis=0) - _CELL_M
+    size = ((places.max(axis=0) - origin) // _CELL_M).astype(int) + 2
+    every, moving = (_crowds(places[part], origin, size) for part in (chained | stands, chained))
+    shares = [_along(kind.lines, moving, origin) / _along(kind.lines, every, origin) for kind in kinds]
+    return [kind.take(share >= params.chain_support) for kind, share in zip(kinds, shares, strict=True)]
+
+
+def _standing(frames: Sequence[Sightings], times_s: Floats, params: DetectionParams) -> NDArray[np.bool_]:
+    """Return which sightings, one frame after the other, are seen again in the frame before or after in time."""
+    order = np.argsort(times_s, kind="stable")
+    step = _frame_step(np.diff(times_s[order]), params.chain_interval_s)
+    found = [np.zeros(len(seen.xy), np.bool_) for seen in frames]
+    for one, other in zip(order[:-step], order[step:], strict=True):
+        here, there = frames[one], frames[other]
+        limits = params.chain_miss_m, params.chain_colour
+        _mark_again(here.xy, here.colour, there.xy, there.colour, *limits, found[one], found[other])
+    return np.concatenate(found)
+
+
+@njit(cache=True, nogil=True)
+def _mark_again(xy, colour, others, their_colour, reach, limit, mine, theirs):  # type: ignore[no-untyped-def]
+    """Set in *mine* and *theirs* what lies within *reach* of one of the others and has its colour."""
+    for i in range(len(xy)):
+        for j in range(len(others)):
+            if np.hypot(xy[i, 0] - others[j, 0], xy[i, 1] - others[j, 1]) > reach:
+                continue
+            if np.abs(colour[i] - their_colour[j]).max() <= limit:
+                mine[i] = theirs[j] = True
+
+
+def _crowds(places: Floats, origin: Floats, size: NDArray[np.int64]) -> Floats:
+    """Return how many *places* (n, 2) lie in each cell and its neighbours; *size* = columns and rows."""
+    columns, rows = size.tolist()
+    cell = ((places - origin) // _CELL_M).astype(np.int64)
+    count = np.bincount(cell[:, 1] * columns + cell[:, 0], minlength=rows * columns).reshape(rows, columns)
+    return np.asarray(cv2.boxFilter(count.astype(np.float32), -1, (3, 3), normalize=False), np.float64)
+
+
+def _along(lines: Floats, counts: Floats, origin: Floats) -> Floats:
+    """Return the sum (m,) of *counts* at places evenly along each of *lines* (m, links, 2)."""
+    if not len(lines):
+        return np.zeros(0)
+    longest = float(np.linalg.norm(np.diff(lines, axis=1), axis=2).max())
+    part = np.linspace(0, 1, 2 + int(longest / _CELL_M), endpoint=False)[:, None]
+    points = lines[:, :-1, None] + part * (lines[:, 1:, None] - lines[:, :-1, None])
+    cell = ((points - origin) // _CELL_M).astype(np.int64)
+    return np.asarray(counts[cell[..., 1], cell[..., 0]].sum(axis=(1, 2)))
+
+
 def _frame_step(intervals_s: Floats, wanted_s: float) -> int:
     if len(intervals_s) == 0 or not np.median(intervals_s) > 0:
         return 1
@@ -74,7 +146,7 @@ def _frame_step(intervals_s: Floats, wanted_s: float) -> int:
 @njit(cache=True, nogil=True)
 def _chains(xy, axis, colour, starts, times, limits):  # type: ignore[no-untyped-def]
     links = len(starts) - 1
-    slowest, fastest, miss, accel, colour_limit = limits
+    slowest, drift, fastest, miss, accel, colour_limit = limits
     chains = []
     for i in range(starts[0], starts[1]):
         for j in range(starts[1], starts[2]):
@@ -86,7 +158,8 @@ def _chains(xy, axis, colour, starts, times, limits):  # type: ignore[no-untyped
             if not _fits(i, j, dx / way, dy / way, axis, colour, colour_limit):
                 continue
             members = np.empty(links, np.int64)
-            members[0], members[1] = i, j
+            members[:] = j
+            members[0] = i
             complete = True
             for k in range(2, links):
                 last, before = members[k - 1], members[k - 2]
@@ -114,7 +187,10 @@ def _chains(xy, axis, colour, starts, times, limits):  # type: ignore[no-untyped
                     complete = False
                     break
                 members[k] = best
-            if complete:
+                way += np.hypot(xy[best, 0] - xy[last, 0], xy[best, 1] - xy[last, 1])
+            last = members[links - 1]
+            whole = np.hypot(xy[last, 0] - xy[i, 0], xy[last, 1] - xy[i, 1])
+            if complete and whole >= max(_STRAIGHT * way, drift * (times[links - 1] - times[0])):
                 for k in range(links):
                     members[k] -= starts[k]
                 chains.append(members)

@@ -7,6 +7,7 @@ import pandas as pd
 
 from vtrack_batch.detection.candidates import Candidates
 from vtrack_batch.model import homography
+from vtrack_batch.model.flags import DetectionFlag
 from vtrack_batch.model.homography import Array
 
 
@@ -37,7 +38,10 @@ def measure_on_ground(candidates: Candidates, frame_to_ground: Array) -> pd.Data
             "green": candidates.green,
             "blue": candidates.blue,
             "contrast": candidates.contrast,
-            "source": pd.Categorical(["background"] * len(candidates), categories=["background", "colour", "both"]),
+            "source": pd.Categorical(
+                np.where(candidates.flags & DetectionFlag.IN_BACKGROUND, "colour", "background"),
+                categories=["background", "colour", "both"],
+            ),
             "flags": candidates.flags,
         }
     )

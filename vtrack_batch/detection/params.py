@@ -49,10 +49,29 @@ class DetectionParams(Params):
     fastest_mps: float = Field(60.0, gt=0, description="highest speed of a chain")
     chain_miss_m: float = Field(1.0, gt=0, description="most that a sighting may miss its chain by, sideways")
     chain_accel_mps2: float = Field(2.5, ge=0, description="acceleration that a chain may show")
-    chain_colour: float = Field(60.0, gt=0, description="largest difference of colour within a chain, in levels")
+    chain_colour: float = Field(90.0, gt=0, description="largest difference of colour within a chain, in levels")
     clutter_share: float = Field(
         0.4, ge=0, le=1, description="share of strict candidates off the road above which they are roofs, not traffic"
+    )
+    chain_support: float = Field(
+        0.3, ge=0, le=1, description="least share of chained ones in all that moves or stands along a chain"
     )
     fewest_chains: int = Field(5, ge=1, description="chains without which a road is not believed")
     road_reach_m: float = Field(3.0, gt=0, description="how far the road reaches to both sides of a chain")
     road_ahead_m: float = Field(20.0, ge=0, description="how far the road goes on straight before and after a chain")
+    standing: bool = Field(
+        True, description="whether vehicles are looked for that stand in the background picture: parked, or queued long"
+    )
+    standing_score: float = Field(
+        0.45,
+        gt=-1,
+        lt=2,
+        description="least likeness of a standing vehicle to moving ones: 1 = usual, -1 = that of any place",
+    )
+    standing_reach_m: float = Field(8.0, ge=0, description="how far from the road standing vehicles are looked for")
+    example_score: float = Field(
+        0.75, gt=0, le=1.5, description="least score of a moving vehicle that teaches what vehicles look like"
+    )
+    fewest_examples: int = Field(
+        40, ge=2, description="sightings of moving vehicles without which standing ones are not looked for"
+    )

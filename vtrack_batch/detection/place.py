@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vtrack_batch.detection.candidates import Candidates
-from vtrack_batch.detection.chains import Chains, Sightings, find_chains
+from vtrack_batch.detection.chains import Chains, Sightings, find_chains, supported
 from vtrack_batch.detection.params import DetectionParams
 from vtrack_batch.model import homography
 from vtrack_batch.model.flags import DetectionFlag
@@ -23,6 +23,8 @@ from vtrack_batch.model.homography import Array
 
 _CELL_M = 0.5
 _MANY_CHAINS = 40
+# How much of a vehicle's half length must lie on the road.
+_SPAN = 0.75
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +72,7 @@ def learn_place(
     times = np.asarray(times_s, float)
     kinds = ((params.chain_links, params.chain_speed_mps), (params.slow_chain_links, params.slow_chain_speed_mps))
     chains = [find_chains(seen, times, links=links, least_mps=least, params=params) for links, least in kinds]
+    chains = supported(chains, seen, times, params=params)
     members = [np.unique(np.concatenate([kind.rows[kind.frames == i] for kind in chains])) for i in range(len(seen))]
     chained = tuple(rows[chosen] for rows, chosen in zip(strict, members, strict=True))
     if sum(len(kind.rows) for kind in chains) < params.fewest_chains:
@@ -82,10 +85,11 @@ def learn_place(
 def _is_tidy(place: Place, candidates: Sequence[Candidates], poses: Sequence[Array], params: DetectionParams) -> bool:
     """Whether strict candidates lie on the road, but for few: then those few are on roads nobody drove fast on."""
     strict = off = 0
-    for frame, (found, pose) in enumerate(zip(candidates, poses, strict=True)):
+    for found, pose, chained in zip(candidates, poses, place.chained, strict=True):
         strong = found.score >= params.strict_score
         strict += int(strong.sum())
-        off += int((strong & ~select(found, pose, place, frame=frame, params=params)).sum())
+        strong[chained] = False
+        off += int((strong & ~place.on_road(_centres_m(found, pose, place))).sum())
     return off <= params.clutter_share * strict
 
 
@@ -94,12 +98,14 @@ def select(
 ) -> NDArray[np.bool_]:
     """Return which candidates (n,) bool of the frame with number *frame* in ``learn_place`` are taken for vehicles.
 
-    On the road weak ones count; elsewhere those that belong to a chain, and strict ones unless most of them lie off the
-    road. Where nothing was learned, strict ones count everywhere.
+    On the road weak ones count, if front and back lie there too; elsewhere those that belong to a chain, and strict
+    ones unless most of them lie off the road. Where nothing was learned, strict ones count everywhere.
     """
     taken = candidates.score >= (params.strict_score if place.trusted_elsewhere else np.inf)
     taken[place.chained[frame]] = True
-    on_road = place.on_road(_centres_m(candidates, frame_to_reference, place))
+    centre = _centres_m(candidates, frame_to_reference, place)
+    front = _SPAN * _fronts_m(candidates, frame_to_reference, place.metres_per_px)
+    on_road = place.on_road(centre) & place.on_road(centre + front) & place.on_road(centre - front)
     return np.asarray(taken | (on_road & (candidates.score >= params.weak_score)))
 
 
@@ -117,10 +123,16 @@ def _centres_m(candidates: Candidates, frame_to_reference: Array, place: Place) 
     return homography.apply(frame_to_reference, centre) * place.metres_per_px
 
 
-def _sightings(candidates: Candidates, pose: Array, metres_per_px: tuple[float, float]) -> Sightings:
+def _fronts_m(candidates: Candidates, pose: Array, metres_per_px: tuple[float, float]) -> Array:
+    """Return from the middle of each candidate to its front, in the reference's metres."""
     centre = np.stack([candidates.col_px, candidates.row_px], axis=1)
     along = np.stack([candidates.lx_px, candidates.ly_px], axis=1)
-    axis = np.einsum("nij,nj->ni", homography.jacobian(pose, centre), along) * metres_per_px
+    return np.asarray(np.einsum("nij,nj->ni", homography.jacobian(pose, centre), along) * metres_per_px)
+
+
+def _sightings(candidates: Candidates, pose: Array, metres_per_px: tuple[float, float]) -> Sightings:
+    centre = np.stack([candidates.col_px, candidates.row_px], axis=1)
+    axis = _fronts_m(candidates, pose, metres_per_px)
     axis /= np.maximum(np.linalg.norm(axis, axis=1), 1e-9)[:, None]
     colour = np.stack([candidates.red, candidates.green, candidates.blue], axis=1)
     return Sightings(homography.apply(pose, centre) * metres_per_px, axis, colour)

@@ -14,6 +14,7 @@ class DetectionFlag(IntFlag):
     SHADOWED = 8
     OUTSIDE_ROAD = 16
     HELD = 32
+    IN_BACKGROUND = 64
 
 
 class TrajectoryFlag(IntFlag):
@@ -40,6 +41,7 @@ _MEANING: dict[str, str] = {
     "SHADOWED": "in cloud or building shadow: colour is doubtful",
     "OUTSIDE_ROAD": "outside the road learned from moving vehicles",
     "HELD": "the vehicle stands: size, axis or place of this sighting was off, and is that of the others",
+    "IN_BACKGROUND": "stands in the background picture: found by its looks, not by a difference from the ground",
     "IMPLAUSIBLE_SPEED": "faster, or accelerating harder, than the stated limits at some point",
     "FEW_POINTS": "fewer sightings than a speed can be trusted on",
     "BRIDGED_GAP": "holds points that were predicted over misses",

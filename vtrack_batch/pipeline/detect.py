@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +16,10 @@ from vtrack_batch.background.stacks import Sample
 from vtrack_batch.completeness.table import INJECTIONS
 from vtrack_batch.config.survey import Survey
 from vtrack_batch.detection.candidates import Candidates, find_candidates
+from vtrack_batch.detection.examples import Examples
 from vtrack_batch.detection.ground import measure_on_ground
 from vtrack_batch.detection.place import flag_outside, learn_place, select
+from vtrack_batch.detection.standing import find_standing, with_standing
 from vtrack_batch.errors import UnusableFrame
 from vtrack_batch.georeference.ortho import orthorectify
 from vtrack_batch.model import homography
@@ -28,14 +30,14 @@ from vtrack_batch.model.tables import TABLES
 from vtrack_batch.pipeline.block import Block, find_block
 from vtrack_batch.pipeline.ground import mosaic_gsd_m
 from vtrack_batch.pipeline.inject import Detected, Seen, inject
+from vtrack_batch.pipeline.laying import Laid, References, lay_samples
 from vtrack_batch.pipeline.parts import Context, matrix_columns, write
 from vtrack_batch.pipeline.plan import FrameRef, Piece, Unit
 from vtrack_batch.pipeline.reading import FrameLog, Reader
-from vtrack_batch.pipeline.samples import sample_store
+from vtrack_batch.pipeline.samples import sample_store, seconds
 from vtrack_batch.registration.alignment import Registration, register
-from vtrack_batch.registration.params import RegistrationParams
-from vtrack_batch.registration.reference import Reference, prepare_reference
-from vtrack_batch.registration.steady import steady_patches
+from vtrack_batch.registration.bending import Bend
+from vtrack_batch.registration.reference import prepare_reference
 from vtrack_batch.storage.geotiff import write_geotiff
 from vtrack_batch.storage.parquet import empty_frame, write_table
 
@@ -62,19 +64,6 @@ def detect_unit(piece: Piece, context: Context) -> None:
         about |= log.counts()
 
 
-@dataclass(frozen=True)
-class References:
-    """The block's reference frame in two digests: patches that lie still on the ground, and patches anywhere."""
-
-    steady: Reference
-    whole: Reference
-
-    def register(self, pixels: NDArray[np.uint8], params: RegistrationParams) -> Registration:
-        """Lay a frame on the reference by patches on the ground; by all, where too few of those are in view."""
-        pose = register(pixels, self.steady, params=params)
-        return pose if pose.accepted else register(pixels, self.whole, params=params)
-
-
 def _first_pass(
     unit: Unit, block: Block, reader: Reader, survey: Survey, folder: Path
 ) -> tuple[Background, References]:
@@ -86,7 +75,7 @@ def _first_pass(
     rough = prepare_reference(reference, params=survey.registration)
     chosen = _spread(unit, block.ref, survey.background.samples - 1)
     with sample_store(folder, (len(chosen) + 1) * reference.nbytes) as keep:
-        kept, laid = [keep(reference)], []
+        kept, laid, taken_s = [keep(reference)], list[Registration](), [seconds(block.ref)]
         del reference
         for ref in chosen:
             pixels = reader.pixels(ref, block.size)
@@ -94,12 +83,13 @@ def _first_pass(
             if pixels is not None and pose is not None and pose.accepted:
                 kept.append(keep(pixels))
                 laid.append(pose)
-        steady, poses = steady_patches(rough, laid, params=survey.registration)
-        samples = list(map(Sample, kept, [np.eye(3), *poses]))
+                taken_s.append(seconds(ref))
+        samples, references = lay_samples(kept, laid, rough, keep=keep, params=survey.registration)
+        timed = [replace(sample, taken_s=when) for sample, when in zip(samples, taken_s, strict=True)]
         background = learn_background(
-            samples, params=survey.background, metres_per_px=float(np.mean(block.metres_per_px))
+            timed, params=survey.background, metres_per_px=float(np.mean(block.metres_per_px))
         )
-    return background, References(steady, rough)
+    return background, references
 
 
 def _spread(unit: Unit, reference: FrameRef, count: int) -> list[FrameRef]:
@@ -120,16 +110,22 @@ def _second_pass(
     unit: Unit, block: Block, background: Background, references: References, reader: Reader, survey: Survey
 ) -> Detected:
     """Register every frame, find candidates, tell which of them fit the block's place model."""
-    seen = list(_candidates(unit, block, background, references, reader, survey))
+    examples = Examples.of(len(unit.frames))
+    seen: list[tuple[FrameRef, Array, Bend | None, Candidates]] = []
+    for ref, laid, found in _candidates(unit, block, background, references, reader, survey):
+        examples.add(len(seen), laid.pixels, found, block.metres_per_px, survey.detection)
+        seen.append((ref, laid.registration.frame_to_reference, laid.bend, found))
     if not seen:
         return Detected(block, background, None, [])
-    refs, poses, candidates = zip(*seen, strict=True)
+    refs, poses, _, candidates = zip(*seen, strict=True)
     times_s = np.array([(ref.t_utc - refs[0].t_utc) / np.timedelta64(1, "s") for ref in refs])
     place = learn_place(candidates, poses, times_s, metres_per_px=block.metres_per_px, params=survey.detection)
+    standing = find_standing(background, examples, place, metres_per_px=block.metres_per_px, params=survey.detection)
     frames = []
-    for index, (ref, pose, found) in enumerate(seen):
-        kept = found.take(select(found, pose, place, frame=index, params=survey.detection))
-        frames.append(Seen(ref, pose, flag_outside(kept, pose, place)))
+    for index, (ref, pose, bend, found) in enumerate(seen):
+        chosen = select(found, pose, place, frame=index, params=survey.detection)
+        kept = with_standing(found, chosen, standing, pose, block.size, block.metres_per_px)
+        frames.append(Seen(ref, pose, bend, flag_outside(kept, pose, place)))
     return Detected(block, background, place, frames)
 
 
@@ -137,29 +133,28 @@ def _detections(unit: Unit, detected: Detected) -> pd.DataFrame:
     """Return the detections of the unit."""
     to_ground = detected.block.fix.reference_to_ground
     tables = [
-        _table(seen.ref, unit.sequence, measure_on_ground(seen.vehicles, to_ground @ seen.pose))
-        for seen in detected.frames
+        _table(seen, unit.sequence, measure_on_ground(seen.vehicles, to_ground @ seen.pose)) for seen in detected.frames
     ]
     return pd.concat(tables, ignore_index=True) if tables else empty_frame(TABLES["detections"])
 
 
 def _candidates(
     unit: Unit, block: Block, background: Background, references: References, reader: Reader, survey: Survey
-) -> Iterator[tuple[FrameRef, Array, Candidates]]:
+) -> Iterator[tuple[FrameRef, Laid, Candidates]]:
     for ref in unit.frames:
         pixels = reader.pixels(ref, block.size)
         if pixels is None:
             continue
-        pose = references.register(pixels, survey.registration)
-        reader.log.pose[ref.frame_id] = pose
+        laid = references.lay(pixels, survey.registration)
+        pose = reader.log.pose[ref.frame_id] = laid.registration
         if not pose.accepted:
             reason = pose.reason or "not_registered"
             reader.log.refuse(ref, UnusableFrame(reason, f"residual {pose.residual_px:.2f} px, {pose.inliers} inliers"))
             continue
         found = find_candidates(
-            pixels, pose.frame_to_reference, background, metres_per_px=block.metres_per_px, params=survey.detection
+            laid.pixels, pose.frame_to_reference, background, metres_per_px=block.metres_per_px, params=survey.detection
         )
-        yield ref, pose.frame_to_reference, found
+        yield ref, laid, found
 
 
 def _write_injections(
@@ -169,12 +164,12 @@ def _write_injections(
     sampled = [detected.block.ref, *_spread(unit, detected.block.ref, survey.background.samples - 1)]
     inside = {ref.frame_id for ref in unit.frames}
 
-    def halo() -> Iterator[tuple[NDArray[np.uint8], Array]]:
+    def halo() -> Iterator[Sample]:
         for ref in sampled:
             pixels = reader.pixels(ref, detected.block.size) if ref.frame_id not in inside else None
-            pose = references.register(pixels, survey.registration) if pixels is not None else None
-            if pixels is not None and pose is not None and pose.accepted:
-                yield pixels, pose.frame_to_reference
+            laid = references.lay(pixels, survey.registration) if pixels is not None else None
+            if laid is not None and laid.registration.accepted:
+                yield Sample(laid.pixels, laid.registration.frame_to_reference, seconds(ref))
 
     rows = inject(detected, sampled, halo, reader, survey, folder)
     write_table(folder / f"{INJECTIONS.name}.parquet", INJECTIONS, rows)
@@ -183,8 +178,11 @@ def _write_injections(
 # writing --------------------------------------------------------------------------------------------------------------
 
 
-def _table(ref: FrameRef, sequence: str, found: pd.DataFrame) -> pd.DataFrame:
+def _table(seen: Seen, sequence: str, found: pd.DataFrame) -> pd.DataFrame:
     """Complete one frame's measurements to rows of ``detections``; ids rank by place, row then column."""
+    ref, place = seen.ref, ["col_px", "row_px"]
+    if seen.bend is not None:
+        found[place] = seen.bend.to_frame(found[place].to_numpy())
     found = found.sort_values(["row_px", "col_px"], kind="stable", ignore_index=True)
     return found.assign(
         detection_id=[detection_id(ref.frame_id, rank) for rank in range(len(found))],

@@ -29,11 +29,13 @@ from vtrack_batch.config.survey import Survey
 from vtrack_batch.detection.candidates import Candidates, find_candidates
 from vtrack_batch.detection.place import Place, select
 from vtrack_batch.model import homography
+from vtrack_batch.model.flags import DetectionFlag
 from vtrack_batch.model.homography import Array
 from vtrack_batch.pipeline.block import Block
 from vtrack_batch.pipeline.plan import FrameRef
 from vtrack_batch.pipeline.reading import Reader
-from vtrack_batch.pipeline.samples import sample_store
+from vtrack_batch.pipeline.samples import sample_store, seconds
+from vtrack_batch.registration.bending import Bend, straighten
 from vtrack_batch.storage.parquet import empty_frame
 
 _ERASED_M = 0.3
@@ -47,6 +49,8 @@ class Seen:
 
     ref: FrameRef
     pose: Array
+    bend: Bend | None
+    """What was taken out of the frame before ``pose`` and ``vehicles``, None = nothing."""
     vehicles: Candidates
 
 
@@ -61,8 +65,8 @@ class Detected:
     frames: Sequence[Seen]
 
 
-Frames = Callable[[], Iterable[tuple[NDArray[np.uint8], Array]]]
-"""Gives pixels and poses, one frame after the other."""
+Frames = Callable[[], Iterable[Sample]]
+"""Gives one frame after the other."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +86,8 @@ def inject(
     *sampled* are the frames of the background: those of the unit are painted, those of the *halo* stay as they are.
     What does not fit into one copy of the frames goes into another, up to eight. Copies wait in *folder*.
     """
+    # what stands in the background cannot be painted over: it is not seen against it
+    detected = replace(detected, frames=[replace(seen, vehicles=_seen_to_differ(seen)) for seen in detected.frames])
     names = {ref.frame_id for ref in sampled}
     numbers = [n for n, seen in enumerate(detected.frames) if seen.ref.frame_id in names]
     if not numbers or detected.place is None:
@@ -126,8 +132,9 @@ class Copy:
             for n, injections in zip(self.numbers, plan, strict=True):
                 canvas = _canvas(self.detected, n, reader)
                 done.append(_painted(canvas, self.glimpses[n], injections, self.stock.donors))
-                samples.append(Sample(keep(canvas.pixels), self.glimpses[n].pose))
-            whole = [*samples, *(Sample(keep(pixels), pose) for pixels, pose in halo())]
+                taken_s = seconds(self.detected.frames[n].ref)
+                samples.append(Sample(keep(canvas.pixels), self.glimpses[n].pose, taken_s))
+            whole = [*samples, *(replace(sample, pixels=keep(sample.pixels[:])) for sample in halo())]
             scale = float(np.mean(self.detected.block.metres_per_px))
             background = learn_background(whole, params=self.survey.background, metres_per_px=scale)
             tables = [
@@ -192,8 +199,12 @@ def _real(detected: Detected, number: int, glimpse: Glimpse) -> pd.DataFrame:
     )
 
 
+def _seen_to_differ(seen: Seen) -> Candidates:
+    return seen.vehicles.take((seen.vehicles.flags & DetectionFlag.IN_BACKGROUND) == 0)
+
+
 def _second(ref: FrameRef) -> int:
-    return int(ref.t_utc.astype("datetime64[s]").astype(np.int64))
+    return int(seconds(ref))
 
 
 # what was seen, what can be painted -----------------------------------------------------------------------------------
@@ -220,6 +231,8 @@ def _canvas(detected: Detected, number: int, reader: Reader) -> Canvas:
     seen, background = detected.frames[number], detected.background
     pixels = reader.pixels(seen.ref, detected.block.size)
     assert pixels is not None, "a frame that was read before"
+    if seen.bend is not None:
+        pixels = straighten(pixels, seen.bend)
     ground = cv2.warpPerspective(
         background.levels,
         seen.pose,

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from vtrack_batch.background.stacks import Rows
 from vtrack_batch.errors import StorageError
+from vtrack_batch.pipeline.plan import FrameRef
 
 IN_MEMORY_BYTES = 400_000_000
 """What a process keeps of decoded samples in memory; more of them wait in a file without a name."""
@@ -25,6 +26,11 @@ _CHUNK_ROWS = 96
 
 Keep = Callable[[NDArray[np.uint8]], Rows]
 """Takes the pixels (H, W, 3) of a frame, gives what stands for them."""
+
+
+def seconds(ref: FrameRef) -> float:
+    """Return when a frame was taken, in seconds."""
+    return float((ref.t_utc - np.datetime64(0, "s")) / np.timedelta64(1, "s"))
 
 
 @contextmanager

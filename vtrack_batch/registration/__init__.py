@@ -2,7 +2,7 @@
 
 In: the pixels of a frame, (H, W, 3) uint8 RGB, and the digest of a reference frame (`prepare_reference`).
 Out: a homography frame px -> reference px with its residual, accepted or refused with a reason (`register`); one row
-of the table ``registrations`` each. Frames are never resampled here; points go through the homography.
+of the table ``registrations`` each. Points go through the homography; frames are resampled where they bend, else never.
 
 Steps
     1. Guess. Both frames are reduced to about 0.13 megapixels and levelled in contrast. A shift by phase correlation
@@ -14,8 +14,11 @@ Steps
     4. Judge. Accepted where the robust residual at the held-out patches is small, enough of the patches that should
        be in view are found there, and they are spread over the overlap. Else features (ORB, Rublee et al. 2011), which
        survive any rotation, give another guess; else the frame is refused, never guessed at.
-    5. Settle. After some frames of the block, the third of the patches that holds still best is kept, the poses of
-       those frames are fitted anew to them (`steady_patches`), and all others are laid on these patches alone.
+    5. Settle. After some frames of the block, the third of the patches that holds still best in each part of the frame
+       is kept, the poses of those frames are fitted anew to them (`steady_patches`), and all others are laid on these
+       patches alone.
+    6. Straighten, where no plane poses fit the block: a smooth dense flow (DIS, Kroeger et al. 2016) from the median of
+       its frames tells where each of them bends (`find_bend`), and that is taken out (`straighten`).
 
 Assumptions
     The ground is nearly a plane. Roofs and trees lean away with parallax and moving vehicles move: both are outvoted as
@@ -27,5 +30,6 @@ Assumptions
 
 Cost
     Less than 5 % of the pixels are touched beyond a thin reduced picture: 1920 x 1080 takes about as long as decoding
-    it, 48 megapixels three times that.
+    it, 48 megapixels three times that. Straightening, where needed, looks at all of them:
+    about four times as long as decoding.
 """

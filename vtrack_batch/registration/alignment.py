@@ -144,7 +144,7 @@ def _judged(
     length[found] = distances(pose.matrix, sightings.frame_px[found], reference.centres_px[found])
     confirmed = length <= 2 * params.inlier_tolerance_px
     checked = visible & reference.held_out
-    cell = _cell_of(reference)
+    cell = cell_of(reference)
     shown = np.bincount(cell[visible], minlength=_COVERAGE_CELLS**2)
     borne_out = np.bincount(cell[visible & confirmed], minlength=_COVERAGE_CELLS**2)
     vouched = borne_out >= 0.1 * shown
@@ -166,7 +166,8 @@ def _overlap_share(frame_to_reference: NDArray[np.float64], shape: tuple[int, ..
     return float(shown.intersection(whole).area / whole.area)
 
 
-def _cell_of(reference: Reference) -> NDArray[np.int64]:
+def cell_of(reference: Reference) -> NDArray[np.int64]:
+    """Return in which cell of a coarse grid over the frame each patch (m,) of *reference* lies."""
     size = np.array([reference.shape[1], reference.shape[0]])
     column, row = (reference.centres_px * _COVERAGE_CELLS / size).astype(np.int64).clip(0, _COVERAGE_CELLS - 1).T
     return np.asarray(row * _COVERAGE_CELLS + column)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import Field
 
 from vtrack_batch.model.params import Params
@@ -44,6 +46,16 @@ class RegistrationParams(Params):
     min_overlap_share: float = Field(
         0.3, ge=0.0, le=1.0, description="smallest share of the reference frame that the frame must show"
     )
+    bend: Literal["auto", "never"] = Field(
+        "auto", description="whether frames are straightened where no plane pose fits them (auto), or never"
+    )
+    bend_from_px: float = Field(
+        0.25, gt=0.0, description="residual of plane poses, over a block, above which frames are straightened"
+    )
+    bend_window_px: int = Field(
+        121, ge=24, le=1000, description="side of the window whose median motion counts: twice as large as vehicles"
+    )
+    max_bend_px: float = Field(4.0, gt=0.0, le=7.9, description="most that any place is moved by straightening")
     min_contrast: float = Field(
         2.0, ge=0.0, le=128.0, description="standard deviation of grey values below which a frame is blank"
     )

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vtrack_batch.model import homography
-from vtrack_batch.registration.alignment import Registration
+from vtrack_batch.registration.alignment import Registration, cell_of
 from vtrack_batch.registration.params import RegistrationParams
 from vtrack_batch.registration.pose import refit_pose
 from vtrack_batch.registration.reference import Reference, spread
@@ -57,13 +57,21 @@ def steady_patches(
 def _steadiest(
     reference: Reference, places: NDArray[np.float64], poses: Matrices, often: NDArray[np.bool_], share: float
 ) -> NDArray[np.bool_]:
-    """Return which patches (m,) have the smallest median residual over frames, a *share* of those seen *often*."""
+    """Return which patches (m,) have the smallest median residual over frames: a *share* of those seen *often*.
+
+    The share is taken in every cell of a coarse grid, for a pose that rests on one corner of the frame goes astray in
+    the others. A cell that shows roofs alone is outvoted in the fit.
+    """
     away = np.array(
         [homography.apply(pose, seen) - reference.centres_px for pose, seen in zip(poses, places, strict=True)]
     )
     residual = np.full(len(often), np.inf)
     residual[often] = np.nanmedian(np.linalg.norm(away[:, often], axis=2), axis=0)
-    count = max(_FEWEST_PATCHES, round(share * often.sum()))
+    share = max(share, _FEWEST_PATCHES / often.sum())
+    cell = np.where(often, cell_of(reference), -1)
+    order = np.lexsort((residual, cell))
+    count = np.bincount(cell[order] + 1)
+    rank = np.arange(len(order)) - np.repeat(np.cumsum(count) - count, count)
     kept = np.zeros(len(often), bool)
-    kept[np.argsort(residual, kind="stable")[:count]] = True
+    kept[order] = (cell[order] >= 0) & (rank < np.ceil(share * count[cell[order] + 1]))
     return kept

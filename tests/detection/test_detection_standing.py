@@ -1,0 +1,162 @@
+"""Vehicles that stand in the background: found by what moving ones look like, where they are, and nowhere else."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from vtrack_batch.background.learn import Background
+from vtrack_batch.background.shadow import Shadows
+from vtrack_batch.detection.appearance import CHANNELS, LONG, WIDE, describe, learn_appearance
+from vtrack_batch.detection.candidates import Candidates
+from vtrack_batch.detection.examples import Examples
+from vtrack_batch.detection.params import DetectionParams
+from vtrack_batch.detection.place import Place
+from vtrack_batch.detection.standing import Standing, find_standing, with_standing
+from vtrack_batch.model.flags import DetectionFlag
+
+HEIGHT, WIDTH, GSD_M = 240, 420, 0.3
+SCALE = (GSD_M, GSD_M)
+PARAMS = DetectionParams()
+PAINTS = ((230, 230, 225), (35, 36, 40), (150, 30, 30), (40, 60, 150), (185, 188, 190), (70, 75, 70))
+PARKED = ((60.0, 92.0, 0.0), (150.0, 150.0, 0.0), (240.0, 92.0, 8.0), (330.0, 150.0, 0.0))
+
+
+def land() -> np.ndarray:
+    """Grass, a grey road along the rows 85..155 with markings, arrows and a zebra crossing."""
+    rng = np.random.default_rng(3)
+    image = np.empty((HEIGHT, WIDTH, 3))
+    image[:] = (95, 120, 70)
+    image[85:156] = (112, 113, 116)
+    image[120:122, (np.arange(WIDTH) // 20) % 2 == 0] = 215
+    image[104:106, 280:296] = image[100:110, 290:292] = 215
+    for row in range(86, 155, 6):
+        image[row : row + 3, 380:392] = 220
+    image += cv2.GaussianBlur(rng.normal(0, 14, (HEIGHT, WIDTH, 1)).astype(np.float32), (0, 0), 1.2)[:, :, None]
+    return np.clip(image, 0, 255).astype(np.uint8)
+
+
+def draw(image: np.ndarray, col: float, row: float, deg: float, paint: tuple[int, int, int]) -> None:
+    """A car of 4.5 x 1.8 m with its two dark windows, edges one pixel soft."""
+    c, s = np.cos(np.radians(deg)), np.sin(np.radians(deg))
+    mask = np.zeros(image.shape[:2], np.uint8)
+    for first, last, half, colour in (
+        (-2.25, 2.25, 0.9, paint),
+        (0.4, 1.1, 0.75, (30, 32, 36)),
+        (-1.7, -1.2, 0.75, (30, 32, 36)),
+    ):
+        corners = np.array([[first, -half], [last, -half], [last, half], [first, half]]) / GSD_M
+        at = corners @ np.array([[c, s], [-s, c]]) + (col, row)
+        mask[:] = 0
+        cv2.fillConvexPoly(mask, np.rint(at * 16).astype(np.int32), 255, shift=4, lineType=cv2.LINE_AA)
+        share = mask[:, :, None] / 255.0
+        image[:] = (image * (1 - share) + np.array(colour) * share).astype(np.uint8)
+
+
+def candidates(places: list[tuple[float, float, float]], score: float = 0.9) -> Candidates:
+    at = np.array(places, float).reshape(-1, 3)
+    turn = np.radians(at[:, 2])
+    along, across = 2.25 / GSD_M, 0.9 / GSD_M
+    zeros = np.zeros(len(at))
+    return Candidates(
+        at[:, 0], at[:, 1], along * np.cos(turn), along * np.sin(turn), -across * np.sin(turn), across * np.cos(turn),
+        zeros + 90, zeros + 100, zeros + 100, zeros + 100, zeros + 60, zeros + score, zeros.astype(np.int32),
+    )  # fmt: skip
+
+
+def block(parked: tuple[tuple[float, float, float], ...]) -> tuple[Background, Examples, Place]:
+    """A background with *parked* cars, and 24 frames with three moving cars each, which are the place's chains."""
+    empty = land()
+    for k, place in enumerate(parked):
+        draw(empty, *place, PAINTS[k % len(PAINTS)])
+    examples, chained = Examples.of(24), []
+    for i in range(24):
+        frame = empty.copy()
+        cars = [(20.0 + 15 * i, 110.0, 0.0), (400.0 - 15 * i, 132.0, 180.0), (30.0 + 13 * i, 132.5, 0.0)]
+        cars = [cars[0], cars[1]] if abs(cars[1][0] - cars[2][0]) < 40 else cars
+        for k, car in enumerate(cars):
+            draw(frame, *car, PAINTS[(i // 3 + 2 * k) % len(PAINTS)])
+        examples.add(i, frame, candidates(cars), SCALE, PARAMS)
+        chained.append(np.arange(len(cars)))
+    road = np.zeros((int(HEIGHT * GSD_M * 2), int(WIDTH * GSD_M * 2)), bool)
+    road[int(98 * GSD_M * 2) : int(144 * GSD_M * 2)] = True
+    levels = np.dstack([empty, np.full(empty.shape[:2], 4, np.uint8)])
+    seen = np.ones(empty.shape[:2], bool)
+    background = Background(levels, seen, ~seen, Shadows(None), 31, 0.35)
+    return background, examples, Place(road, np.zeros(2), SCALE, True, False, tuple(chained))
+
+
+@pytest.fixture(scope="module")
+def street() -> tuple[Background, Examples, Place]:
+    return block(PARKED)
+
+
+def look(street: tuple[Background, Examples, Place], **changes: object) -> Standing:
+    params = PARAMS.model_copy(update=changes)
+    return find_standing(street[0], street[1], street[2], metres_per_px=SCALE, params=params)
+
+
+def test_parked_cars_are_found_where_they_stand(street: tuple[Background, Examples, Place]) -> None:
+    found = look(street)
+    away = np.linalg.norm(found.boxes[:, None, :2] - np.array(PARKED)[None, :, :2], axis=2) * GSD_M
+    assert (away.min(axis=0) < 1.0).all()
+    assert len(found.score) == len(PARKED)
+    length = 2 * GSD_M * np.linalg.norm(found.boxes[:, 2:4], axis=1)
+    assert ((length > 4.2) & (length < 4.8)).all()
+
+
+def test_an_empty_road_with_paint_on_it_holds_none() -> None:
+    assert len(look(block(())).score) == 0
+
+
+def test_nothing_is_looked_for_without_road_or_examples(street: tuple[Background, Examples, Place]) -> None:
+    background, examples, place = street
+    assert len(look(street, standing=False).score) == 0
+    assert len(look((background, Examples.of(24), place)).score) == 0
+    assert len(look((background, examples, replace(place, learned=False))).score) == 0
+
+
+def test_a_standing_vehicle_is_there_until_its_hole_is_seen(street: tuple[Background, Examples, Place]) -> None:
+    standing = look(street)
+    pose = np.array([[1.0, 0.0, 5.0], [0.0, 1.0, -3.0], [0.0, 0.0, 1.0]])
+    gone = (standing.boxes[0, 0] - 5, standing.boxes[0, 1] + 3, 0.0)
+    other = (200.0, 120.0, 0.0)
+    found = candidates([gone, other])
+    size = (WIDTH, HEIGHT)
+    out = with_standing(found, np.array([False, True]), standing, pose, size, SCALE)
+    marked = (out.flags & DetectionFlag.IN_BACKGROUND) > 0
+    assert marked.sum() == len(PARKED) - 1
+    assert (~marked).sum() == 1
+    assert np.all(np.diff(out.row_px) >= 0)
+    places = np.stack([out.col_px, out.row_px], axis=1)[marked] + (5, -3)
+    assert np.linalg.norm(places[:, None] - standing.boxes[None, 1:, :2], axis=2).min(axis=1).max() < 1e-6
+
+
+def test_what_lies_outside_the_frame_is_not_there(street: tuple[Background, Examples, Place]) -> None:
+    standing = look(street)
+    pose = np.array([[1.0, 0.0, 10.0 * WIDTH], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    out = with_standing(candidates([]), np.zeros(0, bool), standing, pose, (WIDTH, HEIGHT), SCALE)
+    assert len(out) == 0
+
+
+def test_windows_look_the_same_however_the_picture_is_turned() -> None:
+    image = land()
+    draw(image, 200.0, 115.0, 0.0, PAINTS[0])
+    turned = np.ascontiguousarray(np.rot90(image, -1))
+    one = describe(image, np.array([[200.0, 115.0]]), np.array([[1.0, 0.0]]), (1 / GSD_M, 1 / GSD_M))
+    other = describe(turned, np.array([[HEIGHT - 1 - 115.0, 200.0]]), np.array([[0.0, 1.0]]), (1 / GSD_M, 1 / GSD_M))
+    assert one.shape == (1, CHANNELS, WIDE, LONG)
+    assert np.abs(one - other).mean() < 0.02 * one.mean()
+
+
+def test_the_score_is_one_on_vehicles_and_minus_one_elsewhere() -> None:
+    rng = np.random.default_rng(2)
+    others = rng.normal(0, 1, (300, CHANNELS, WIDE, LONG)).astype(np.float32)
+    vehicles = rng.normal(0, 1, (60, CHANNELS, WIDE, LONG)).astype(np.float32)
+    vehicles[:, :, 3:6, 4:12] += 1.5
+    looks = learn_appearance(vehicles, others)
+    assert looks.score(vehicles).mean() == pytest.approx(1, abs=0.1)
+    assert looks.score(others).mean() == pytest.approx(-1, abs=0.1)
