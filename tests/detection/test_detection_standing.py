@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import cv2
@@ -15,7 +16,7 @@ from vtrack_batch.detection.candidates import Candidates
 from vtrack_batch.detection.examples import Examples
 from vtrack_batch.detection.params import DetectionParams
 from vtrack_batch.detection.place import Place
-from vtrack_batch.detection.standing import Standing, find_standing, with_standing
+from vtrack_batch.detection.standing import Standing, find_standing, moving_boxes, with_standing
 from vtrack_batch.model.flags import DetectionFlag
 
 HEIGHT, WIDTH, GSD_M = 240, 420, 0.3
@@ -94,9 +95,9 @@ def street() -> tuple[Background, Examples, Place]:
     return block(PARKED)
 
 
-def look(street: tuple[Background, Examples, Place], **changes: object) -> Standing:
+def look(street: tuple[Background, Examples, Place], driven: Sequence[np.ndarray] = (), **changes: object) -> Standing:
     params = PARAMS.model_copy(update=changes)
-    return find_standing(street[0], street[1], street[2], metres_per_px=SCALE, params=params)
+    return find_standing(*street, driven, metres_per_px=SCALE, params=params)
 
 
 def test_parked_cars_are_found_where_they_stand(street: tuple[Background, Examples, Place]) -> None:
@@ -110,6 +111,18 @@ def test_parked_cars_are_found_where_they_stand(street: tuple[Background, Exampl
 
 def test_an_empty_road_with_paint_on_it_holds_none() -> None:
     assert len(look(block(())).score) == 0
+
+
+@pytest.mark.parametrize(("beside_m", "frames", "left"), [(0, 2, 1), (0, 1, 0), (3.0, 9, 0)])
+def test_nothing_stands_where_others_drive(
+    street: tuple[Background, Examples, Place], beside_m: float, frames: int, left: int
+) -> None:
+    shift = np.array([[1.0, 0.0, 7.0], [0.0, 1.0, -2.0], [0.0, 0.0, 1.0]])
+    col_px, row_px, heading = PARKED[0]
+    passing = candidates([(col_px - 7 + 2, row_px + 2 + beside_m / GSD_M, heading)])
+    place = replace(street[2], chained=(np.arange(1),) * frames)
+    driven = moving_boxes([passing] * frames, [shift] * frames, place)
+    assert len(look(street, driven).score) == len(PARKED) - left
 
 
 def test_nothing_is_looked_for_without_road_or_examples(street: tuple[Background, Examples, Place]) -> None:

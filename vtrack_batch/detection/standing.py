@@ -7,6 +7,7 @@ there in every frame in which nothing else is found at its place: when it leaves
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -30,6 +31,7 @@ _OTHERS = 4000
 _SURE = 0.75
 _DOUBTFUL = 0.15
 _KEEP_CLEAR_M = 2.6
+_DRIVEN_OVER = 2  # frames: once may be a mistake
 _SAME_HUE, _PAVED_SHARE, _SHADED_SHARE = 6.0, 0.6, 0.6
 _RING = np.array([k for k in range(81) if max(abs(k // 9 - 4), abs(k % 9 - 4)) == 4])
 _SPREAD = np.array([0.7548776662466927, 0.5698402909980532, 0.3247179572447460])
@@ -47,17 +49,23 @@ class Standing:
     contrast: Array
     score: Array
 
+    def take(self, rows: NDArray[np.bool_]) -> Standing:
+        """Return the vehicles *rows*."""
+        return Standing(self.boxes[rows], self.colour[rows], self.contrast[rows], self.score[rows])
+
 
 def find_standing(
     background: Background,
     examples: Examples,
     place: Place,
+    driven: Sequence[Array],
     *,
     metres_per_px: tuple[float, float],
     params: DetectionParams,
 ) -> Standing:
     """Find the vehicles that stand on or near the road in the picture of the *background*.
 
+    *driven* are the boxes (m, 6) of moving vehicles in every frame, in reference px: nothing stands where they drive.
     Nothing is found where no road was learned, or from fewer than ``fewest_examples``.
     """
     looks, sizes = examples.moving(place)
@@ -87,7 +95,16 @@ def find_standing(
     at, along, score = at[good], along[good], score[good]
     boxes = _boxes(at, along, size, px_per_m)
     alone = stand_alone(boxes, score, px_per_m)
-    return _measured(background, boxes[alone], score[alone], steps)
+    found = _measured(background, boxes[alone], score[alone], steps)
+    return found.take(_times_covered(found.boxes[:, :2], driven) < _DRIVEN_OVER)
+
+
+def moving_boxes(candidates: Sequence[Candidates], poses: Sequence[Array], place: Place) -> list[Array]:
+    """Return the boxes (m, 6) in reference px of those *candidates* of every frame that belong to chains of *place*."""
+    return [
+        _moved(_boxes_of(found.take(rows)), pose)
+        for found, pose, rows in zip(candidates, poses, place.chained, strict=True)
+    ]
 
 
 def with_standing(
@@ -106,10 +123,9 @@ def with_standing(
     if len(standing.score) == 0:
         return kept
     boxes, seen = _in_frame(standing.boxes, frame_to_reference, size_px)
-    taken = np.stack([found.col_px, found.row_px, found.lx_px, found.ly_px, found.wx_px, found.wy_px], axis=1)
-    both = np.concatenate([taken, boxes])
-    rank = np.concatenate([np.full(len(taken), 2.0), np.where(seen, 1.0, 0.0)])
-    there = stand_alone(both, rank, (1 / metres_per_px[0], 1 / metres_per_px[1]))[len(taken) :] & seen
+    both = np.concatenate([_boxes_of(found), boxes])
+    rank = np.concatenate([np.full(len(found.score), 2.0), np.where(seen, 1.0, 0.0)])
+    there = stand_alone(both, rank, (1 / metres_per_px[0], 1 / metres_per_px[1]))[len(found.score) :] & seen
     added = _candidates(standing, boxes, frame_to_reference, size_px, there)
     joined = kept.joined(added)
     return joined.take(np.lexsort((joined.col_px, joined.row_px)))
@@ -177,6 +193,19 @@ def _plausible(
     return np.asarray(paved & (shaded.mean(axis=1) < _SHADED_SHARE))
 
 
+def _times_covered(points: Array, driven: Sequence[Array]) -> NDArray[np.int64]:
+    """Return in how many frames each of *points* (n, 2) lies in one of the frame's boxes."""
+    times = np.zeros(len(points), np.int64)
+    for boxes in driven:
+        away = points[:, None] - boxes[None, :, :2]
+        shares = [
+            np.abs((away * boxes[:, k : k + 2]).sum(axis=2)) / np.maximum((boxes[:, k : k + 2] ** 2).sum(axis=1), 1e-9)
+            for k in (2, 4)
+        ]
+        times += (np.maximum(*shares) <= 1).any(axis=1)
+    return times
+
+
 def _measured(background: Background, boxes: Array, score: Array, steps: tuple[int, int]) -> Standing:
     """Take colour and contrast of *boxes*, in px of the reduced picture, and bring them to px of the reference."""
     picture = background.ground(*steps)[:, :, :3]
@@ -203,14 +232,22 @@ def _levels(picture: NDArray[np.uint8], boxes: Array, reach: float) -> Array:
 # in a frame -----------------------------------------------------------------------------------------------------------
 
 
+def _boxes_of(found: Candidates) -> Array:
+    return np.stack([found.col_px, found.row_px, found.lx_px, found.ly_px, found.wx_px, found.wy_px], axis=1)
+
+
+def _moved(boxes: Array, by: Array) -> Array:
+    """Return *boxes* (n, 6) as the homography *by* maps them."""
+    local = homography.jacobian(by, boxes[:, :2])
+    axes = [np.einsum("nij,nj->ni", local, boxes[:, k : k + 2]) for k in (2, 4)]
+    return np.concatenate([homography.apply(by, boxes[:, :2]), *axes], axis=1)
+
+
 def _in_frame(boxes: Array, frame_to_reference: Array, size_px: tuple[int, int]) -> tuple[Array, NDArray[np.bool_]]:
     """Return *boxes* of the reference in the frame's px, and which have their centre there."""
-    to_frame = np.asarray(np.linalg.inv(frame_to_reference), np.float64)
-    centre = homography.apply(to_frame, boxes[:, :2])
-    local = homography.jacobian(to_frame, boxes[:, :2])
-    axes = [np.einsum("nij,nj->ni", local, boxes[:, k : k + 2]) for k in (2, 4)]
-    seen = ((centre >= -0.5) & (centre < np.array(size_px) - 0.5)).all(axis=1)
-    return np.concatenate([centre, *axes], axis=1), np.asarray(seen)
+    moved = _moved(boxes, np.asarray(np.linalg.inv(frame_to_reference), np.float64))
+    seen = ((moved[:, :2] >= -0.5) & (moved[:, :2] < np.array(size_px) - 0.5)).all(axis=1)
+    return moved, np.asarray(seen)
 
 
 def _candidates(

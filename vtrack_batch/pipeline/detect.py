@@ -19,7 +19,7 @@ from vtrack_batch.detection.candidates import Candidates, find_candidates
 from vtrack_batch.detection.examples import Examples
 from vtrack_batch.detection.ground import measure_on_ground
 from vtrack_batch.detection.place import flag_outside, learn_place, select
-from vtrack_batch.detection.standing import find_standing, with_standing
+from vtrack_batch.detection.standing import find_standing, moving_boxes, with_standing
 from vtrack_batch.errors import UnusableFrame
 from vtrack_batch.georeference.ortho import orthorectify
 from vtrack_batch.model import homography
@@ -120,7 +120,10 @@ def _second_pass(
     refs, poses, _, candidates = zip(*seen, strict=True)
     times_s = np.array([(ref.t_utc - refs[0].t_utc) / np.timedelta64(1, "s") for ref in refs])
     place = learn_place(candidates, poses, times_s, metres_per_px=block.metres_per_px, params=survey.detection)
-    standing = find_standing(background, examples, place, metres_per_px=block.metres_per_px, params=survey.detection)
+    driven = moving_boxes(candidates, poses, place)
+    standing = find_standing(
+        background, examples, place, driven, metres_per_px=block.metres_per_px, params=survey.detection
+    )
     frames = []
     for index, (ref, pose, bend, found) in enumerate(seen):
         chosen = select(found, pose, place, frame=index, params=survey.detection)
