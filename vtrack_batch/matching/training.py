@@ -38,7 +38,7 @@ from vtrack_batch.matching.score import FORMAT, Model, worth_scoring
 
 FOLDS = 3
 TREES, MORE_TREES = 150, 40  # a round; of a model of its own, and added to one
-LEAST_TRUE = 200  # fewer true links than this teach nothing
+LEAST_TRUE = 100  # fewer true links than this teach nothing
 GROWN = {
     "objective": "binary", "learning_rate": 0.06, "num_leaves": 24, "min_data_in_leaf": 60, "lambda_l2": 5.0,
     "feature_fraction": 0.6, "bagging_fraction": 0.7, "bagging_freq": 1, "max_bin": 127, "seed": 3, "verbose": -1,

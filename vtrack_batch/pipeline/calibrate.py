@@ -38,7 +38,7 @@ from vtrack_batch.tracking.learn import learn_flow
 METHODS = ("default", "untrained", "assignment", "regions", "original", "colour", "opposite", "proposed")
 CALIBRATED, RETRAINED = "proposed, calibrated", "default, retrained"
 APART_S = 20.0  # pairs this far apart in time are as good as independent
-MOST_SWEPT = 20  # pairs; more would cost minutes and choose no better
+MOST_SWEPT = 12  # pairs; more would cost minutes and choose no better
 LESSONS_APART_S = 5.0  # to learn from, nearer ones serve as well
 DRIVES = 4  # of seeds of their own; every other one judges what the others chose
 COLUMNS = ["x_m", "y_m", "red", "green", "blue", "vehicle"]
