@@ -68,9 +68,15 @@ def candidates(places: list[tuple[float, float, float]], score: float = 0.9) -> 
     )  # fmt: skip
 
 
-def block(parked: tuple[tuple[float, float, float], ...]) -> tuple[Background, Examples, Place]:
-    """A background with *parked* cars, and 24 frames with three moving cars each, which are the place's chains."""
+def block(
+    parked: tuple[tuple[float, float, float], ...], paved: slice = slice(0)
+) -> tuple[Background, Examples, Place]:
+    """A background with *parked* cars and 24 frames with three moving cars each, which are the place's chains.
+
+    Some rows may be *paved* beside the road.
+    """
     empty = land()
+    empty[paved, 160:280] = (112, 113, 116)
     for k, place in enumerate(parked):
         draw(empty, *place, PAINTS[k % len(PAINTS)])
     examples, chained = Examples.of(24), []
@@ -111,6 +117,12 @@ def test_parked_cars_are_found_where_they_stand(street: tuple[Background, Exampl
 
 def test_an_empty_road_with_paint_on_it_holds_none() -> None:
     assert len(look(block(())).score) == 0
+
+
+@pytest.mark.parametrize(("until_row", "more"), [(81, 0), (90, 1)])
+def test_grey_ground_counts_where_it_leads_to_the_road(until_row: int, more: int) -> None:
+    found = look(block((*PARKED[:2], (215.0, 73.0, 0.0)), slice(50, until_row)))
+    assert len(found.score) == 2 + more
 
 
 @pytest.mark.parametrize(("beside_m", "frames", "left"), [(0, 2, 1), (0, 1, 0), (3.0, 9, 0)])

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -33,6 +34,7 @@ _DOUBTFUL = 0.15
 _KEEP_CLEAR_M = 2.6
 _DRIVEN_OVER = 2  # frames: once may be a mistake
 _SAME_HUE, _PAVED_SHARE, _SHADED_SHARE = 6.0, 0.6, 0.6
+_WAY_SHARE = 0.01  # of the road's ground: patches with less of it are no part of it
 _RING = np.array([k for k in range(81) if max(abs(k // 9 - 4), abs(k % 9 - 4)) == 4])
 _SPREAD = np.array([0.7548776662466927, 0.5698402909980532, 0.3247179572447460])
 
@@ -176,15 +178,18 @@ def _boxes(at: Array, along: Array, size: Array, px_per_m: tuple[float, float]) 
 def _plausible(
     background: Background, picture: NDArray[np.uint8], place: Place, boxes: Array, px_per_m: tuple[float, float]
 ) -> NDArray[np.bool_]:
-    """Return which *boxes* are no shadows, and have ground of the road's hue around: no lawns, no roofs."""
+    """Return which *boxes* are no shadows, and ground of the road's hue around leads to it: no lawns, no roofs."""
     hues = np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2LAB)[:, :, 1:], np.uint8)
     rows, columns = np.mgrid[1 : picture.shape[0] : 4, 1 : picture.shape[1] : 4].reshape(2, -1)
     road = place.on_road((np.stack([columns, rows], axis=1) + 0.5) / px_per_m)
     if not road.any():
         return np.zeros(len(boxes), np.bool_)
     hue, colour = (np.median(part[rows[road], columns[road]], axis=0) for part in (hues, picture))
-    off = np.linalg.norm(_levels(hues, boxes, 1.6)[:, _RING] - hue, axis=2)
-    paved = (off <= _SAME_HUE).mean(axis=1) >= _PAVED_SHARE
+    alike = np.linalg.norm(hues - hue, axis=2) <= _SAME_HUE
+    joined = np.asarray(cv2.connectedComponents(alike.astype(np.uint8), connectivity=4)[1])
+    ways = np.bincount(joined[rows[road], columns[road]], minlength=int(joined.max()) + 1) >= _WAY_SHARE * road.sum()
+    ways[0] = False
+    paved = _levels(ways[joined][:, :, None], boxes, 1.6)[:, _RING, 0].mean(axis=1) >= _PAVED_SHARE
     if background.shadows.ratio is None:
         return np.asarray(paved)
     ratio = (_levels(picture, boxes, 0.8) + 2) / (colour + 2)
@@ -219,7 +224,7 @@ def _measured(background: Background, boxes: Array, score: Array, steps: tuple[i
     return Standing(boxes, colour, contrast, score)
 
 
-def _levels(picture: NDArray[np.uint8], boxes: Array, reach: float) -> Array:
+def _levels(picture: NDArray[Any], boxes: Array, reach: float) -> Array:
     """Return the levels (n, points, channels) of *picture* at points spread over boxes of *reach* times their size."""
     side = (np.arange(9) - 4) / 4 * reach
     along, across = (part.ravel() for part in np.meshgrid(side, side))
