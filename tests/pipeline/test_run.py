@@ -130,23 +130,24 @@ def test_a_changed_bin_redoes_the_traffic_only(archive: Path, golden: Path) -> N
     assert run(archive).done == {"detect": 0, "track": 0, "traffic": 1, "picture": 1}
 
 
-def test_a_flow_map_is_part_of_what_tracks_are_made_of(archive: Path, golden: Path) -> None:
+def name_a_missing_file(archive: Path, golden: Path, line: str, told: str) -> None:
+    """Give the survey of a finished archive a *line* that names a file which is not there."""
     shutil.copytree(golden / "results", archive / "results", symlinks=True)
     with (archive / "survey.yaml").open("a") as stream:
-        stream.write("flow_map: place.flow\n")
-    with pytest.raises(ConfigError, match=r"no such file; see `flow_map`"):
+        stream.write(line)
+    with pytest.raises(ConfigError, match=told):
         run(archive)
+
+
+def test_a_flow_map_is_part_of_what_tracks_are_made_of(archive: Path, golden: Path) -> None:
+    name_a_missing_file(archive, golden, "flow_map: place.flow\n", r"no such file; see `flow_map`")
     for speed_mps, work in ((8.0, 1), (9.0, 1), (9.0, 0)):
         vt.FlowMap(np.array([[10.0, -20.0]]), np.array([[speed_mps, 0.0]])).save(archive / "place.flow")
         assert run(archive).done == {"detect": 0, "track": work, "traffic": work, "picture": work}
 
 
 def test_a_model_of_links_is_part_of_what_tracks_are_made_of(archive: Path, golden: Path) -> None:
-    shutil.copytree(golden / "results", archive / "results", symlinks=True)
-    with (archive / "survey.yaml").open("a") as stream:
-        stream.write("matching: {model: site.json}\n")
-    with pytest.raises(ConfigError, match=r"no such file; see `matching\.model`"):
-        run(archive)
+    name_a_missing_file(archive, golden, "matching: {model: site.json}\n", r"no such file; see `matching\.model`")
     (archive / "site.json").write_text("{}")
     with pytest.raises(UnusableData, match="is no model of links"):
         run(archive)

@@ -21,7 +21,6 @@ from vtrack_batch.tracking.params import TrackingParams
 from vtrack_batch.tracking.sightings import Array, Index, Sightings
 
 KEEP_LOG_ODDS = -6.0
-BOX_SLACK_M = 2.0
 CONTEXT = 0.7  # weight of the learned score beside a vehicle's own motion: they share a part of what they know
 LEAST_KNOWN = 1e-3
 
