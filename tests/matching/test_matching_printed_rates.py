@@ -89,17 +89,26 @@ def off_by(rows, method, rule, want):
     return sum(off), sum(t for *_, t in right)
 
 
+def unrounded(rows, trials):
+    """Yield data that would be written as *rows*: places to the millimetre, colours to the level."""
+    random = np.random.default_rng(0)
+    for _ in range(trials):
+        places = rows[["x_m", "y_m"]] + random.uniform(-5e-4, 5e-4, (len(rows), 2))
+        paints = rows[["red", "green", "blue"]] + random.uniform(-0.5, 0.5, (len(rows), 3))
+        yield rows.assign(**places, **paints)
+
+
 @pytest.mark.real
 def test_rates_equal_the_stored_ones_pair_by_pair(shared_data):
-    """To 0.1 point, ties aside; but for few answers in jams, where T changed by a twentieth of a percent flips some.
+    """To 0.1 point, ties aside; where not, the stored rate comes of data that the file's rounding hides.
 
-    The file holds places to the millimetre and colours to the level; the stored rates need not have been made from it.
+    In jams a displacement lies so near to T that half a millimetre decides a few answers.
     """
     stored = pd.read_parquet(shared_data / "sumo" / "rates.parquet").set_index(["pair", "method", "decision"])
     some = sorted(stored.index.unique("pair"))[::4]
     pairs = pd.read_parquet(shared_data / "sumo" / "pairs.parquet", filters=[("pair", "in", some)])
     equal = tied = 0
-    unequal = []
+    rounding, unequal = [], []
     for pair, rows in pairs.groupby("pair"):
         for method in METHODS:
             for rule in ("argmax", "mutual"):
@@ -107,7 +116,12 @@ def test_rates_equal_the_stored_ones_pair_by_pair(shared_data):
                 off, ties = off_by(rows, method, rule, want)
                 equal, tied = equal + (off < 0.1), tied + (ties > 0)
                 if off >= 0.1:
-                    unequal.append((pair, method, rule, round(off)))
-                assert off <= 0.05 * len(rows), (pair, method, rule, off)
-    print(f"{equal} of {len(some) * 8} rates equal; in {tied} some answers hang on ties; not equal: {unequal}")
-    assert len(some) * 8 * 0.98 <= equal <= len(some) * 8
+                    reached = any(off_by(other, method, rule, want)[0] < 0.1 for other in unrounded(rows, 40))
+                    (rounding if reached else unequal).append((pair, method, rule, round(off)))
+    rates = len(some) * 8
+    print(
+        f"{equal} of {rates} rates equal; in {tied} some answers hang on ties; on rounding: {rounding}; not: {unequal}"
+    )
+    assert equal + len(rounding) + len(unequal) == rates
+    assert len(rounding) < 0.02 * rates
+    assert len(unequal) <= 0.003 * rates
