@@ -22,6 +22,7 @@ SCALES = np.array([[15.0, 3.0], [60.0, 8.0]])  # of place, along and across the 
 FARTHEST = 9.0  # squared distance of a neighbour, in standard deviations, up to which it is heard
 NOTHING = 50.0  # squared distance, in standard deviations, from which on a vote adds nothing
 LANE_M, GAP_M = 2.2, 3.5  # vehicles of one lane: so near across; so far apart at least along
+LANE_AHEAD_M = 40.0  # how far along a lane its order is looked at
 
 BASE = (
     "elapsed_s", "length_m", "speed_mps", "log_density", "spacing_m", "log_odds", "log_colour", "log_prior", "rival",
@@ -214,48 +215,52 @@ def _hear(asked, owner, d, p, first, bands, xy, scales, spread):  # type: ignore
     """
     out, (voices, voice) = np.zeros((len(asked), 13)), _voices(p, d, first)
     other, rx, ry = np.empty(len(xy), np.int64), np.empty(len(xy)), np.empty(len(xy))
-    place, at_u, at_v = np.empty((len(scales), len(xy))), np.empty(len(xy)), np.empty(len(xy))
-    narrow, wide, i, count = 1 / spread[0] ** 2, 1 / spread[1] ** 2, -1, 0
+    who, at_u, at_v = np.empty(len(xy), np.int64), np.empty(len(xy)), np.empty(len(xy))
+    z, place = np.empty((len(scales), len(xy))), np.empty((len(scales), len(xy)))
+    narrow, wide, i, speaking = 1 / spread[0] ** 2, 1 / spread[1] ** 2, -1, 0
     for at in range(len(asked)):
         e = asked[at]
         if owner[e] != i:
             i = owner[e]
-            count = _speaking(others_near(i, xy, bands, other, rx, ry), other, rx, ry, voices)
+            speaking = _speaking(others_near(i, xy, bands, other, rx, ry), other, rx, ry, voices)
         length = np.hypot(d[e, 0], d[e, 1])
         still = length <= STILL_M
         ux, uy = (1.0, 0.0) if still else (d[e, 0] / length, d[e, 1] / length)
-        for c in range(count):
-            at_u[c], at_v[c] = rx[c] * ux + ry[c] * uy, rx[c] * uy - ry[c] * ux
+        count = 0
+        for c in range(speaking):
+            at_u[count], at_v[count] = rx[c] * ux + ry[c] * uy, rx[c] * uy - ry[c] * ux
+            near = False
+            for r in range(len(scales)):
+                # who stands has neighbours all around
+                along, across = (0.5 * scales[r, 0], 0.5 * scales[r, 0]) if still else (scales[r, 0], scales[r, 1])
+                z[r, count] = (at_u[count] / along) ** 2 + (at_v[count] / across) ** 2
+                near |= z[r, count] <= FARTHEST
+            in_lane = not still and abs(at_v[count]) < LANE_M and abs(at_u[count]) < LANE_AHEAD_M
+            who[count] = other[c]
+            count += near or in_lane
         for r in range(len(scales)):
-            # who stands has neighbours all around
-            along, across = (0.5 * scales[r, 0], 0.5 * scales[r, 0]) if still else (scales[r, 0], scales[r, 1])
             for c in range(count):
-                z = (at_u[c] / along) ** 2 + (at_v[c] / across) ** 2
-                near = bell(min(z, FARTHEST))
-                place[r, c] = near if z <= FARTHEST else 0.0
+                near = bell(min(z[r, c], FARTHEST))
+                place[r, c] = near if z[r, c] <= FARTHEST else 0.0
         for c in range(count):
             u, v = at_u[c], at_v[c]
-            in_lane = not still and abs(v) < LANE_M and abs(u) < 40
-            heard = place[0, c] > 0 or place[1, c] > 0
-            if not (heard or in_lane):
-                continue
+            in_lane = not still and abs(v) < LANE_M and abs(u) < LANE_AHEAD_M
             broken, kept = 0.0, 0.0
-            for f in range(voices[other[c]], voices[other[c] + 1]):
+            for f in range(voices[who[c]], voices[who[c] + 1]):
                 dx, dy = voice[f, 0] - d[e, 0], voice[f, 1] - d[e, 1]
                 along, across = dx * ux + dy * uy, dx * uy - dy * ux
                 if still:
                     along, across = np.hypot(dx, dy), 0.0
-                if heard:
-                    square = dx * dx + dy * dy
-                    near = np.exp(-0.5 * square * narrow) if square * narrow < NOTHING else 0.0
-                    far = np.exp(-0.5 * square * wide) if square * wide < NOTHING else 0.0
-                    for r in range(len(scales)):
-                        w = voice[f, 2] * place[r, c]
-                        out[at, 5 * r] += w
-                        out[at, 5 * r + 1] += w * along
-                        out[at, 5 * r + 2] += w * across
-                        out[at, 5 * r + 3] += w * near
-                        out[at, 5 * r + 4] += w * far
+                square = dx * dx + dy * dy
+                near = np.exp(-0.5 * square * narrow) if square * narrow < NOTHING else 0.0
+                far = np.exp(-0.5 * square * wide) if square * wide < NOTHING else 0.0
+                for r in range(len(scales)):
+                    w = voice[f, 2] * place[r, c]
+                    out[at, 5 * r] += w
+                    out[at, 5 * r + 1] += w * along
+                    out[at, 5 * r + 2] += w * across
+                    out[at, 5 * r + 3] += w * near
+                    out[at, 5 * r + 4] += w * far
                 if in_lane and abs(v + across) < LANE_M:
                     after = u + along
                     if after * u < 0 or abs(after) < GAP_M:

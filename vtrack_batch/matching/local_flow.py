@@ -224,18 +224,18 @@ def _any_alike(motions, first, k, earlier_xy, later_xy, radius):  # type: ignore
         near = _within(motions, earlier_xy[i, 0], earlier_xy[i, 1], radius, found)
         for e in range(first[i], first[i + 1]):
             x, y = later_xy[k[e], 0], later_xy[k[e], 1]
+            count = 0  # all of them: this goes side by side, and ends no sooner where most edges are like none
             for s in range(near):
                 dx, dy = found.x[s] - x, found.y[s] - y
-                if found.square[s] + dx * dx + dy * dy < limit:
-                    alike[e] = True
-                    break
+                count += found.square[s] + dx * dx + dy * dy < limit
+            alike[e] = count > 0
     return alike
 
 
 @njit(cache=True, nogil=True)
 def _most_alike(motions, first, k, earlier_xy, later_xy, ranks):  # type: ignore[no-untyped-def]
     """Return the distances (e, r) to the motions of certain *ranks* (r,), by distance at both ends taken together."""
-    out, best, told = np.empty((len(k), len(ranks))), np.empty(ranks[-1] + 1), np.zeros(len(k), np.bool_)
+    out, told = np.empty((len(k), len(ranks))), np.zeros(len(k), np.bool_)
     found = _room(len(motions.here))
     for i in range(len(earlier_xy)):
         radius, left = 2 * SEARCH_M, first[i + 1] - first[i]
@@ -246,30 +246,28 @@ def _most_alike(motions, first, k, earlier_xy, later_xy, ranks):  # type: ignore
             for e in range(first[i], first[i + 1]):
                 if told[e]:
                     continue
-                _least(found, near, later_xy[k[e], 0], later_xy[k[e], 1], limit, best)
-                if best[-1] < limit or limit == np.inf:
-                    told[e] = True
-                    left -= 1
-                    for r in range(len(ranks)):
-                        out[e, r] = np.sqrt(best[ranks[r]])
+                sure = _sums_below(found, near, later_xy[k[e], 0], later_xy[k[e], 1], limit)
+                if sure <= ranks[-1]:
+                    continue
+                told[e] = True
+                left -= 1
+                for r in range(len(ranks) - 1, -1, -1):
+                    _select(found.sum, found.row, sure, ranks[r])
+                    sure = ranks[r]
+                    out[e, r] = np.sqrt(found.sum[sure])
             radius *= WIDER
     return out
 
 
 @njit(cache=True, nogil=True)
-def _least(found, near, x, y, limit, best):  # type: ignore[no-untyped-def]
-    """Write the least sums of the squared distances at both ends of motions, ascending, to *best*."""
+def _sums_below(found, near, x, y, limit):  # type: ignore[no-untyped-def]
+    """Write the sums of the squared distances at both ends of motions that are below *limit*; returns how many are."""
+    count = 0
     for s in range(near):
         dx, dy = found.x[s] - x, found.y[s] - y
-        found.sum[s] = found.square[s] + dx * dx + dy * dy
-    best[:], last = limit, len(best) - 1
-    for s in range(near):
-        if found.sum[s] < best[last]:
-            to = last
-            while to > 0 and best[to - 1] > found.sum[s]:
-                best[to] = best[to - 1]
-                to -= 1
-            best[to] = found.sum[s]
+        found.sum[count] = found.square[s] + dx * dx + dy * dy
+        count += found.sum[count] < limit
+    return count
 
 
 @njit(cache=True, nogil=True)

@@ -161,6 +161,7 @@ def _votes(order, owner, d, first, xy, bands, scale, start, stop, by, weight, vo
     other, rx, ry = np.empty(len(xy), np.int64), np.empty(len(xy)), np.empty(len(xy))
     z, place = np.empty(len(xy)), np.empty(len(xy))
     front, who = np.empty(len(xy), np.int64), np.empty(len(xy), np.int64)
+    square, share = np.empty(64), np.empty(64)
     i, near, room = -1, 0, 0
     for e in range(done, len(order)):
         if owner[e] != i:
@@ -169,6 +170,8 @@ def _votes(order, owner, d, first, xy, bands, scale, start, stop, by, weight, vo
             for c in range(near):
                 front[c] = first[other[c]]
                 room += first[other[c] + 1] - front[c]
+            if room > len(square):
+                square, share = np.empty(2 * room), np.empty(2 * room)
         if at + room > len(by):
             return e, at, room
         length = np.hypot(d[e, 0], d[e, 1])
@@ -183,7 +186,7 @@ def _votes(order, owner, d, first, xy, bands, scale, start, stop, by, weight, vo
             inside += z[inside] <= CUT * CUT
         for n in range(inside):
             place[n] = bell(z[n])
-        total, start[order[e]] = 0.0, at
+        total, start[order[e]], count = 0.0, at, 0
         for n in range(inside):
             c = who[n]
             total += place[n]
@@ -194,8 +197,11 @@ def _votes(order, owner, d, first, xy, bands, scale, start, stop, by, weight, vo
             while f < last and d[f, 0] <= d[e, 0] + cut:
                 q = ((d[f, 0] - d[e, 0]) ** 2 + (d[f, 1] - d[e, 1]) ** 2) * narrow
                 if q <= CUT * CUT:
-                    by[at], weight[at] = order[f], peak * place[n] * np.exp(-0.5 * q)
-                    at += 1
+                    by[at + count], square[count], share[count] = order[f], q, peak * place[n]
+                    count += 1
                 f += 1
+        for n in range(count):
+            weight[at + n] = share[n] * bell(square[n])
+        at += count
         voters[order[e]], stop[order[e]] = total, at
     return len(order), at, 0
