@@ -229,15 +229,15 @@ def _hear(asked, owner, d, p, first, bands, xy, scales, spread):  # type: ignore
         count = 0
         for c in range(speaking):
             at_u[count], at_v[count] = rx[c] * ux + ry[c] * uy, rx[c] * uy - ry[c] * ux
-            near = False
+            heard = False
             for r in range(len(scales)):
                 # who stands has neighbours all around
                 along, across = (0.5 * scales[r, 0], 0.5 * scales[r, 0]) if still else (scales[r, 0], scales[r, 1])
                 z[r, count] = (at_u[count] / along) ** 2 + (at_v[count] / across) ** 2
-                near |= z[r, count] <= FARTHEST
+                heard |= z[r, count] <= FARTHEST
             in_lane = not still and abs(at_v[count]) < LANE_M and abs(at_u[count]) < LANE_AHEAD_M
             who[count] = other[c]
-            count += near or in_lane
+            count += heard or in_lane
         for r in range(len(scales)):
             for c in range(count):
                 near = bell(min(z[r, c], FARTHEST))
