@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .PHONY: help demo test test-slow check format docs lock clean \
-        accuracy bench-matching bench-tracks bench-paper bench-seeing bench-speed bench-oracles bench-scale bench-faults bench-archive bench-engine bench-zoo \
+        accuracy bench-matching bench-tracks bench-paper bench-seeing bench-ablation bench-speed bench-oracles bench-scale bench-faults bench-archive bench-engine bench-zoo \
         train-matching
 
 help: ## list the targets
@@ -64,6 +64,9 @@ bench-paper: $(VENV)/runtime ## the paper's Tables 1-3 and its sweep: docs/paper
 
 bench-seeing: $(VENV)/runtime ## detection, registration, rendered frames, beside peers and real ones: docs/accuracy.md
 	QUICK=$(QUICK) OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.seeing
+
+bench-ablation: $(VENV)/runtime ## what each part of seeing is worth: docs/accuracy.md
+	QUICK=$(QUICK) OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.ablation
 
 bench-speed: $(VENV)/runtime ## a run in units of decoding, stage by stage: docs/performance.md
 	QUICK=$(QUICK) OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.speed
