@@ -22,7 +22,7 @@ from benchmarks.environment import pinned
 from benchmarks.jobs import called, quick
 from benchmarks.page import ACCURACY, FIGURES, PERFORMANCE, SHARED, markdown_table, stamp, write_section
 from benchmarks.seeing_detection import PEERS, Settings, aligned, detect, scores, tuned
-from benchmarks.seeing_realism import KIT_GSD_M, LABELS, differences, draw, real, rendered
+from benchmarks.seeing_realism import LABELS, differences, draw, real, rendered
 from benchmarks.seeing_registration import compare, flown
 from vtrack_batch.simulation.params import Scenario
 from vtrack_batch.simulation.view_params import CameraParams
@@ -221,9 +221,9 @@ def realism_page(folder: Path) -> str:
     pairs = {
         gsd_m: (
             rendered(folder / f"realism-{gsd_m}", gsd_m),
-            real(clip, KIT_GSD_M / gsd_m),
+            real(clip, MUNICH_GSD_M / gsd_m),
         )
-        for gsd_m in (KIT_GSD_M, GSD_M)
+        for gsd_m in (MUNICH_GSD_M, GSD_M)
     }
     draw(pairs, FIGURES / "realism.svg")
     apart = {gsd_m: differences(*both) for gsd_m, both in pairs.items()}

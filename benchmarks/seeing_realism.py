@@ -18,7 +18,6 @@ from vtrack_batch.simulation.params import Scenario
 from vtrack_batch.simulation.view_params import CameraParams
 from vtrack_batch.simulation.write import simulate
 
-KIT_GSD_M = 0.125
 FRAMES, SIZE_PX, SEED = 4, (1280, 800), 8201
 BOX = ["left", "top", "width", "height"]
 

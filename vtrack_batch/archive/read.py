@@ -37,16 +37,16 @@ def read_bytes(root: Path, path: str, *, max_bytes: int = MAX_FILE_BYTES) -> byt
     io_error (after two retries: network file systems recover) or outside_archive; OSError where it is the machine that
     has no more memory or open files to give.
     """
-    name = unescape(path)
-    for attempt in range(_RETRIES + 1):
+    name, tried = unescape(path), 0
+    while True:
         try:
             with open_regular(root, name) as file:
                 return _read_settled(file, max_bytes)
         except OSError as error:
-            if error.errno not in _PASSING or attempt == _RETRIES:
+            if error.errno not in _PASSING or tried == _RETRIES:
                 raise unreadable(error, root / name) from error
+            tried += 1
             time.sleep(_RETRY_AFTER_S)
-    raise AssertionError("unreachable")
 
 
 def content_hash(data: bytes) -> str:

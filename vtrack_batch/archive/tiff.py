@@ -106,12 +106,6 @@ class _Layout:
             )
         return np.frombuffer(self.data, self.order + kind, count, at).astype(np.int64)
 
-    def cut_short(self) -> UnusableFrame:
-        """Return the error for a pointer beyond the end of the file."""
-        return UnusableFrame(
-            "truncated", f"the file ends after {len(self.data)} bytes, before what its header points to"
-        )
-
 
 def _page(tags: dict[int, NDArray[np.int64]], file_bytes: int) -> TiffPage:
     def one(tag: int, default: int) -> int:

@@ -42,13 +42,14 @@ def walk(root: Path) -> Iterator[File | Refused]:
     held at a time. Raises NoArchive if *root* is missing, no directory or unreadable.
     """
     if not root.exists():
-        raise NoArchive(f"the archive {root} does not exist")
+        raise NoArchive(f"the archive {root} does not exist; see `archive.root` in the survey file")
     if not root.is_dir():
-        raise NoArchive(f"the archive {root} is not a directory")
+        raise NoArchive(f"the archive {root} is not a directory; `archive.root` names the folder that holds the frames")
     try:
         top = _names(root)
     except OSError as error:
-        raise NoArchive(f"the archive {root} cannot be read: {unreadable(error, root).detail}") from error
+        reason = unreadable(error, root).detail
+        raise NoArchive(f"the archive {root} cannot be read: {reason}; may this user list it?") from error
     yield from _below(os.fspath(root), top)
 
 

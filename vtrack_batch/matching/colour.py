@@ -64,13 +64,11 @@ class Paint:
         """Return the log density (n,) of the colours *rgb* (n, 3) in the population, in opponent axes."""
         return np.asarray(_log_mixture(opponent(rgb), self._population, self.noise))
 
-    def log_ratio(self, first_rgb: Array, second_rgb: Array) -> Array:
-        """Return log p(same) / p(random) (n,) of pairs of colours, each of one sighting; symmetric."""
-        log_random = 0.5 * (self.log_density(first_rgb) + self.log_density(second_rgb))
-        return self.log_ratio_given(first_rgb, second_rgb, log_random)
+    def log_ratio(self, first_rgb: Array, second_rgb: Array, log_random: Array) -> Array:
+        """Return log p(same) / p(random) (n,) of pairs of colours, each of one sighting; symmetric.
 
-    def log_ratio_given(self, first_rgb: Array, second_rgb: Array, log_random: Array) -> Array:
-        """Like ``log_ratio``, with the log density of a random pair (n,) already known."""
+        *log_random* (n,) is half the sum of their log densities in the population.
+        """
         return np.asarray(_log_ratios(opponent(first_rgb), opponent(second_rgb), log_random, self.noise))
 
 

@@ -21,7 +21,8 @@ from vtrack_batch.matching.vehicles import Vehicles
 
 SURE = 0.9  # links from which the spread of colours is learned
 MOVING_MPS = 2.0
-PAPER = {"original", "colour", "opposite", "proposed"}
+PAPER = ("original", "colour", "opposite", "proposed")
+METHODS = (*PAPER, "default", "untrained", "regions", "assignment", "nearest")
 DECISION = {
     "original": "argmax",
     "colour": "argmax",
@@ -50,10 +51,12 @@ def match(
     """
     params = params or MatchingParams()
     chosen = params.method if method == "default" else method
-    if chosen not in (*PAPER, "default", "untrained", "regions", "assignment", "nearest"):
-        raise ConfigError(f"matching method {method!r} is unknown")
+    if chosen not in METHODS:
+        raise ConfigError(f"matching method {method!r} is unknown; there are {', '.join(METHODS)}")
     if not (np.isfinite(elapsed_s) and elapsed_s > 0):
-        raise UnusableData(f"elapsed_s must be positive, not {elapsed_s!r}")
+        raise UnusableData(
+            f"elapsed_s must be positive, not {elapsed_s!r}: the seconds from the earlier to the later image"
+        )
     a, b = Vehicles.of(earlier, "earlier image"), Vehicles.of(later, "later image")
     reach_m = params.reach_m(elapsed_s, printed=chosen in PAPER)
     edges = candidates(a.xy, b.xy, reach_m, limit=params.max_candidate_pairs)
@@ -112,7 +115,7 @@ def untrained_labels(
         if a.rgb is not None and b.rgb is not None and len(edges):
             paint = Paint(np.vstack([a.rgb, b.rgb]), colour)
             log_random = 0.5 * (paint.log_density(a.rgb)[edges.i] + paint.log_density(b.rgb)[edges.k])
-            log_colour = paint.log_ratio_given(a.rgb[edges.i], b.rgb[edges.k], log_random)
+            log_colour = paint.log_ratio(a.rgb[edges.i], b.rgb[edges.k], log_random)
         evidence = bayes_evidence(edges, neighbours, prior, log_colour, elapsed_s, params, colour)
         return labels_from(edges, evidence.log_odds), evidence
 

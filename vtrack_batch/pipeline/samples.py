@@ -22,6 +22,7 @@ IN_MEMORY_BYTES = 400_000_000
 """What a process keeps of decoded samples in memory; more of them wait in a file without a name."""
 
 _CHUNK_ROWS = 96
+_REMEDY = "make room where `output.root` lies, or take a smaller `background.samples`"
 
 
 Keep = Callable[[NDArray[np.uint8]], Rows]
@@ -52,9 +53,11 @@ def _write(file: IO[bytes], pixels: NDArray[np.uint8]) -> Rows:
         for top in range(0, len(pixels), _CHUNK_ROWS):
             part = np.ascontiguousarray(pixels[top : top + _CHUNK_ROWS])
             if file.write(part.data) != part.nbytes:
-                raise StorageError("samples of the background cannot be kept on disk (it is full)")
+                raise StorageError(f"samples of the background cannot be kept on disk: it is full; {_REMEDY}")
     except OSError as problem:
-        raise StorageError(f"samples of the background cannot be kept on disk ({problem.strerror})") from None
+        raise StorageError(
+            f"samples of the background cannot be kept on disk ({problem.strerror}); {_REMEDY}"
+        ) from None
     return KeptRows(file, start, pixels.shape)
 
 

@@ -96,7 +96,9 @@ class Output:
             try:
                 self._sweep()
             except OSError as problem:
-                raise StorageError(f"{self.staging}: cannot be cleared ({problem})") from None
+                raise StorageError(
+                    f"{self.staging}: cannot be cleared ({problem}); may this user delete there?"
+                ) from None
             yield
 
     def _sweep(self) -> None:
@@ -221,7 +223,7 @@ def make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as problem:
-        raise CannotCreate(f"{folder}: cannot be created ({problem.strerror})") from None
+        raise CannotCreate(f"{folder}: cannot be created ({problem.strerror}); choose another folder") from None
 
 
 def digest(*parts: Any) -> str:

@@ -84,7 +84,7 @@ def pair_links(
         i, k = edges.i + a, edges.k + b
         colour = None
         if paint is not None and s.rgb is not None:
-            colour = paint.log_ratio_given(s.rgb[i], s.rgb[k], 0.5 * (log_colour[i] + log_colour[k]))
+            colour = paint.log_ratio(s.rgb[i], s.rgb[k], 0.5 * (log_colour[i] + log_colour[k]))
         log_odds, log_alone, log_known = _judged(s, edges, colour, paint, (a, b, c), matching, flow)
         keep = log_odds > KEEP_LOG_ODDS
         found.append((i[keep], k[keep], log_alone[keep], log_odds[keep], log_known[keep]))

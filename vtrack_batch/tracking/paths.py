@@ -17,8 +17,8 @@ from vtrack_batch.tracking.sightings import Array, Index, Sightings
 class Paths:
     """Smoothed paths, track after track: points of track k are rows first[k] ... first[k + 1] - 1.
 
-    ``frame`` (p,), ``sighting`` (p,) row of the sighting or -1, ``xy`` (p, 2), ``velocity`` (p, 2), ``place_sigma``
-    and ``speed_sigma`` (p,) standard errors per axis, ``parked`` (k,) whether the vehicle stands all its life.
+    ``frame`` (p,), ``sighting`` (p,) row of the sighting or -1, ``xy`` (p, 2), ``velocity`` (p, 2), ``speed_sigma``
+    (p,) standard error of the velocity per axis, ``parked`` (k,) whether the vehicle stands all its life.
     """
 
     first: Index
@@ -26,7 +26,6 @@ class Paths:
     sighting: Index
     xy: Array
     velocity: Array
-    place_sigma: Array
     speed_sigma: Array
     parked: NDArray[np.bool_]
 
@@ -70,7 +69,7 @@ def paths_of(s: Sightings, chains: Chains, params: TrackingParams) -> Paths:
         first, s.frame_s[frame], seen, s.xy[sighting], s.sigma_m[sighting], motion.jerkiness, motion.speed_sigma_mps
     )
     parked = _parked(s, kept, of_track, at, params)
-    return Paths(first, frame, sighting, mean[:, :2], mean[:, 2:], np.sqrt(cov[:, 0]), np.sqrt(cov[:, 2]), parked)
+    return Paths(first, frame, sighting, mean[:, :2], mean[:, 2:], np.sqrt(cov[:, 2]), parked)
 
 
 def chain_numbers(before: Index) -> Index:

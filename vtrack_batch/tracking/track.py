@@ -26,6 +26,7 @@ from vtrack_batch.tracking.windows import linked_in_windows
 CHAINED = ("default", "untrained")
 REGIONS = "regions"
 PAIRWISE = ("original", "colour", "opposite", "proposed", "assignment", "nearest")
+METHODS = (*CHAINED, REGIONS, *PAIRWISE)
 
 
 @dataclass(frozen=True)
@@ -74,8 +75,8 @@ def track(
 def chosen_method(method: str, matching: MatchingParams) -> str:
     """Return the method that *method* stands for; raises ``ConfigError`` where there is none of that name."""
     chosen = matching.method if method == "default" else method
-    if chosen not in (*CHAINED, REGIONS, *PAIRWISE):
-        raise ConfigError(f"tracking method {method!r} is unknown")
+    if chosen not in METHODS:
+        raise ConfigError(f"tracking method {method!r} is unknown; there are {', '.join(METHODS)}")
     return chosen
 
 
