@@ -22,11 +22,12 @@ CHAPTERS = (
 
 def pages() -> dict[str, str]:
     """Return path (from the project's root) → content of every made page."""
-    from vtrack_batch.config.example import example_yaml, survey_page
+    from vtrack_batch.config.example import example_yaml, scenario_page, survey_page
 
     return {
         "configs/example.yaml": example_yaml(),
         "docs/reference/survey-file.md": survey_page(),
+        "docs/reference/scenario-file.md": scenario_page(),
         "docs/reference/tables.md": tables_page(),
         "docs/reference/commands.md": commands_page(),
         **{f"docs/methods/{chapter}.md": chapter_page(chapter) for chapter in CHAPTERS},

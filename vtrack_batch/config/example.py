@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from pydantic import BaseModel
 
 from vtrack_batch.config.survey import Survey
+from vtrack_batch.simulation.params import Scenario
 
 HEADER = """\
 # yaml-language-server: $schema=./survey.schema.json
@@ -43,18 +44,37 @@ def example_yaml(chosen: Mapping[str, Mapping[str, Any] | Any] | None = None, *,
 
 def survey_page() -> str:
     """Return the reference of the survey file in Markdown: every key with its default and what it means."""
-    lines = ["# The survey file", "", "Made by `make docs` from the parameters' own descriptions.", ""]
-    lines += ["Lengths are in metres, times in seconds, speeds in metres a second; paths are relative to the file."]
-    lines += ["Every key is optional but `georeference.gsd_m`, where frames do not tell it themselves.", ""]
+    needed = "Every key is optional but `georeference.gsd_m`, where frames do not tell it themselves."
+    lines = _head("The survey file", needed)
     survey = Survey()
     for name, field in Survey.model_fields.items():
         value = getattr(survey, name)
         lines += [f"## {name}", "", field.description or "", ""]
-        lines += ["| key | default | meaning |", "|---|---|---|"]
-        rows = _rows(value, "") if isinstance(value, BaseModel) else [(name, value, field.description or "")]
-        lines += [f"| `{key}` | `{_scalar(default)}` | {text} |" for key, default, text in rows]
-        lines.append("")
+        lines += _table(_rows(value, "") if isinstance(value, BaseModel) else [(name, value, field.description or "")])
     return "\n".join(lines).rstrip() + "\n"
+
+
+def scenario_page() -> str:
+    """Return the reference of the scenario file of `simulate` in Markdown: first its own keys, then its sections."""
+    lines = _head("The scenario file", "`vtrack-batch simulate` reads it; every key is optional.")
+    scenario = Scenario()
+    values = {name: getattr(scenario, name) for name in Scenario.model_fields}
+    sections = [name for name, value in values.items() if isinstance(value, BaseModel)]
+    lines += ["## The archive", "", *_table(row for row in _rows(scenario, "") if row[0].split(".")[0] not in sections)]
+    for name in sections:
+        lines += [f"## {name}", "", Scenario.model_fields[name].description or "", "", *_table(_rows(values[name], ""))]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _head(title: str, needed: str) -> list[str]:
+    made = "Made by `make docs` from the parameters' own descriptions."
+    units = "Lengths are in metres, times in seconds, speeds in metres a second; paths are relative to the file."
+    return [f"# {title}", "", made, "", units, needed, ""]
+
+
+def _table(rows: Iterable[tuple[str, Any, str]]) -> list[str]:
+    lines = ["| key | default | meaning |", "|---|---|---|"]
+    return [*lines, *(f"| `{key}` | `{_scalar(default)}` | {text} |" for key, default, text in rows), ""]
 
 
 def _rows(values: BaseModel, prefix: str) -> Iterator[tuple[str, Any, str]]:
