@@ -185,6 +185,8 @@ def note_of(piece: Piece, context: Context) -> Path:
 
 def do_isolated(piece: Piece, work: Work, context: Context, memory_mb: int | None = None) -> None:
     """Do one piece in a process that may die of it, with so much memory."""
+    import cv2
+
     if not context.output.staging.is_dir():
         raise StorageError(f"{context.out}: not seen from this worker; all workers need the same paths")
     with holding(note_of(piece, context), limit_s=context.survey.execution.frame_limit_s) as hand:
@@ -193,8 +195,8 @@ def do_isolated(piece: Piece, work: Work, context: Context, memory_mb: int | Non
                 do_piece(piece, work, replace(context, hand=hand))
         except MemoryError:
             os._exit(OUT_OF_MEMORY)  # at once, so that the note of what was in hand stays behind
-        except Exception as problem:
-            if getattr(problem, "code", None) == OPENCV_NO_MEMORY:
+        except cv2.error as problem:
+            if problem.code == OPENCV_NO_MEMORY:
                 os._exit(OUT_OF_MEMORY)
             raise
 
