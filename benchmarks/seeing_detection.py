@@ -19,7 +19,6 @@ from benchmarks.seeing_registration import read
 from vtrack_batch.background.exposure import expose, fit_exposure
 from vtrack_batch.background.learn import Sample, learn_background
 from vtrack_batch.background.params import BackgroundParams
-from vtrack_batch.background.ranks import take_ranks
 from vtrack_batch.background.shadow import Shadows
 from vtrack_batch.background.subtract import OBJECT, SHADOW, UNSEEN, Difference, subtract
 from vtrack_batch.detection.candidates import candidates_in
@@ -33,6 +32,7 @@ from vtrack_batch.evaluation.pairing import pair
 from vtrack_batch.evaluation.params import EvaluationParams
 from vtrack_batch.evaluation.scene import ground_scale, make_scene, sightings
 from vtrack_batch.model import homography
+from vtrack_batch.model.ranks import take_ranks
 from vtrack_batch.model.tables import TABLES
 from vtrack_batch.pipeline.parts import matrices_of
 from vtrack_batch.storage.parquet import read_table

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vtrack_batch.background.exposure import fit_exposure
+from vtrack_batch.background.exposure import Exposure, fit_exposure
 
 
 def scene(seed: int = 3, height: int = 120, width: int = 210) -> np.ndarray:
@@ -64,3 +64,14 @@ def test_too_little_to_go_by_changes_nothing() -> None:
     exposure = fit_exposure(picture, picture // 2, np.zeros(picture.shape[:2], bool), tile_px=60)
     assert (exposure.levels == np.arange(256)).all()
     assert (exposure.gain == 1).all()
+
+
+@pytest.mark.parametrize("rows", [(0, 40), (40, 103), (96, 203)])
+def test_some_rows_of_the_gain_are_those_of_the_whole(rows: tuple[int, int]) -> None:
+    gain = np.random.default_rng(7).uniform(0.7, 1.4, (3, 5)).astype(np.float32)
+    exposure = Exposure(np.zeros((3, 256), np.float32), gain)
+    whole, part = exposure.gain_map(203, 301), exposure.gain_map(203, 301, rows)
+    wanted = whole[rows[0] // 8 : -(-rows[1] // 8)]
+    assert part.shape == wanted.shape
+    assert np.abs(part - wanted).max() < 0.02
+    assert np.ptp(wanted) > 0.1

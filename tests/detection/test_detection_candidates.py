@@ -128,15 +128,21 @@ def test_windscreen_does_not_cut_a_car(background: Background) -> None:
     assert found.red[0] > 200
 
 
-def test_shadow_is_not_a_vehicle() -> None:
-    samples, places = [], [(30 + 45 * i, 25 + 32 * lane) for i in range(6) for lane in range(5)]
+def shaded_background(places: list[tuple[int, int]]) -> Background:
+    """Twelve samples with vehicles at *places*, further on in each, that cast shadows."""
+    samples = []
     for i in range(12):
         picture = land()
         for n, (column, row) in enumerate(places):
             colour = (225, 228, 225) if n % 2 else (150, 30, 40)
             paint(picture, ((column + 26 * i) % 290 + 5, row), (4.4, 1.8), 0, colour, shade=0.48)
         samples.append(Sample(shot(picture, i), np.eye(3)))
-    background = learn_background(samples, params=BackgroundParams())
+    return learn_background(samples, params=BackgroundParams())
+
+
+def test_shadow_is_not_a_vehicle() -> None:
+    places = [(30 + 45 * i, 25 + 32 * lane) for i in range(6) for lane in range(5)]
+    background = shaded_background(places)
     picture = land()
     for column, row in places:
         paint(picture, (column, row), (4.4, 1.8), 0, (225, 228, 225), shade=0.48)
@@ -145,6 +151,21 @@ def test_shadow_is_not_a_vehicle() -> None:
     assert len(found) == len(places)
     offset = np.array([found.col_px - np.round((found.col_px - 30) / 45) * 45 - 30])
     assert np.abs(offset).max() < 2
+
+
+@pytest.mark.parametrize("angle", [0, 35, 90])
+def test_paint_as_dark_as_shadow_is_a_vehicle_and_the_shadow_of_another_is_not(angle: int) -> None:
+    """Nothing casts what lies there alone; beside a white car the same darkness is its shadow."""
+    background = shaded_background([(30 + 45 * i, 25 + 32 * lane) for i in range(6) for lane in range(5)])
+    assert background.shadows.ratio is not None
+    scene = land()
+    dark = tuple((np.array([108.0, 112.0, 104.0]) * background.shadows.ratio).tolist())
+    paint(scene, (90, 90), (4.5, 1.8), angle, dark, shade=0.48)
+    paint(scene, (220, 90), (4.5, 1.8), angle, (225, 225, 225), shade=0.48)
+    found = look(scene, background)
+    places_px = np.stack([found.col_px, found.row_px], axis=1)
+    assert np.hypot(*(places_px - [[90, 90], [220, 90]]).T).max() < 2.5
+    assert len(found) == 2
 
 
 def test_frame_is_read_through_its_pose(background: Background) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vtrack_batch.detection.chains import Chains, Sightings, find_chains, supported
+from vtrack_batch.detection.chains import Chains, Kind, Sightings, find_chains, kinds_of, supported
 from vtrack_batch.detection.params import DetectionParams
 
 PARAMS = DetectionParams()
@@ -13,16 +13,15 @@ TIMES = np.arange(6) * 0.5
 
 
 def sightings(rows: list[tuple[float, float, float, float]]) -> Sightings:
-    """Make sightings from (x_m, y_m, angle_deg, grey)."""
+    """Make sightings 4.5 m long from (x_m, y_m, angle_deg, grey)."""
     x, y, angle, grey = np.array(rows, float).reshape(-1, 4).T
     turn = np.radians(angle)
-    return Sightings(
-        np.stack([x, y], axis=1), np.stack([np.cos(turn), np.sin(turn)], axis=1), np.repeat(grey[:, None], 3, axis=1)
-    )
+    axis = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    return Sightings(np.stack([x, y], axis=1), axis, np.full(len(x), 4.5), np.repeat(grey[:, None], 3, axis=1))
 
 
 def chains(frames: list[Sightings], *, links: int = 4, least_mps: float = 3.0) -> Chains:
-    return find_chains(frames, TIMES, links=links, least_mps=least_mps, params=PARAMS)
+    return find_chains(frames, TIMES, Kind(links, least_mps), params=PARAMS)
 
 
 @pytest.mark.parametrize(("speed", "count"), [(2.0, 0), (4.0, 3), (55.0, 3), (70.0, 0)])
@@ -48,6 +47,35 @@ def test_paint_may_flicker_but_not_change() -> None:
     for change, count in ((80.0, 3), (110.0, 0)):
         frames = [sightings([(5 + 6 * t, 3.0, 0.0, 60 + change * (n % 2))]) for n, t in enumerate(TIMES)]
         assert len(chains(frames).rows) == count
+
+
+@pytest.mark.parametrize(
+    ("interval_s", "links"),
+    [(0.1, [4, 6]), (0.5, [4, 6]), (1.0, [4, 3, 6, 4]), (1.5, [4, 3, 6, 3]), (4.0, [4, 3, 6, 3])],
+)
+def test_fewer_sightings_make_a_chain_where_frames_are_far_apart(interval_s: float, links: list[int]) -> None:
+    kinds = kinds_of(np.arange(9) * interval_s, PARAMS)
+    assert [kind.links for kind in kinds] == links
+    spans = {3.0: PARAMS.chain_span_s, 1.5: PARAMS.slow_chain_span_s}
+    for kind in kinds:
+        assert kind.loose == (kind.links in (PARAMS.chain_links, PARAMS.slow_chain_links) and kind.misfit == np.inf)
+        if not kind.loose:
+            assert (kind.links - 1) * interval_s >= spans[kind.least_mps]
+
+
+@pytest.mark.parametrize(("turn_deg", "repaint", "bend_m"), [(20, 0, 0), (0, 75, 0), (0, 0, 0.85), (14, 50, 0.5)])
+def test_few_sightings_must_fit_closely(turn_deg: float, repaint: float, bend_m: float) -> None:
+    times = np.arange(3) * 1.5
+    close = [sightings([(5 + 8 * t, 3.0, 4.0, 90.0 + 5 * n)]) for n, t in enumerate(times)]
+    askew = [
+        sightings([(5 + 8 * t, 3.0 + bend_m * (n == 2), turn_deg * (n == 1), 90.0 + repaint * (n == 2))])
+        for n, t in enumerate(times)
+    ]
+    loose, short = Kind(3, 3.0), Kind(3, 3.0, misfit=0.6)
+    assert len(find_chains(close, times, loose, params=PARAMS).rows) == 1
+    assert len(find_chains(close, times, short, params=PARAMS).rows) == 1
+    assert len(find_chains(askew, times, loose, params=PARAMS).rows) == 1
+    assert len(find_chains(askew, times, short, params=PARAMS).rows) == 0
 
 
 def lane_and_roof(dormers: int) -> list[Sightings]:
@@ -87,7 +115,7 @@ def test_nothing_seen_is_no_chain() -> None:
 
 def test_order_of_sightings_and_frames_does_not_matter() -> None:
     frames = lane_and_roof(dormers=7)
-    turned = [Sightings(seen.xy[::-1], seen.axis[::-1], seen.colour[::-1]) for seen in frames]
+    turned = [Sightings(seen.xy[::-1], seen.axis[::-1], seen.length[::-1], seen.colour[::-1]) for seen in frames]
     (one,) = supported([chains(frames)], frames, TIMES, params=PARAMS)
     (other,) = supported([chains(turned)], turned, TIMES, params=PARAMS)
     assert sorted(map(str, one.lines)) == sorted(map(str, other.lines))

@@ -70,6 +70,20 @@ def test_weak_ones_count_on_the_road_and_strong_ones_do_not_elsewhere() -> None:
         assert kept.tolist() == [True] * 5 + [False] * 7
 
 
+@pytest.mark.parametrize("lit", [0.5, 1.0])
+def test_chains_over_roofs_are_told_by_the_hue_of_the_ground(lit: float) -> None:
+    """Cars along x = 90 m drive over red tiles, for a quarter or for most of their way; the others over asphalt."""
+    frames, poses, times = archive()
+    for tiles_m, road in ((25.0, True), (100.0, False)):
+        ground = np.full((480, 500, 4), (120, 122, 125, 9), np.uint8)
+        ground[: round(tiles_m / GSD[1]), round(85 / GSD[0]) : round(95 / GSD[0])] = (190, 95, 70, 9)
+        ground = (ground * lit).astype(np.uint8)
+        place = learn_place(frames, poses, times, metres_per_px=GSD, params=PARAMS, ground=ground)
+        assert place.on_road(np.array([[60.0, 20.0], [90.0, 60.0]])).tolist() == [True, road]
+    plain = learn_place(frames, poses, times, metres_per_px=GSD, params=PARAMS, ground=np.full_like(ground, 90))
+    assert (plain.road == learn(frames, poses, times).road).all()
+
+
 @pytest.mark.parametrize("interval", [0.1, 0.5, 1.5])
 def test_any_rate_of_frames(interval: float) -> None:
     frames, poses, times = archive(count=round(8 / interval), interval_s=interval)

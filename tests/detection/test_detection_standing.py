@@ -16,6 +16,7 @@ from vtrack_batch.detection.candidates import Candidates
 from vtrack_batch.detection.examples import Examples
 from vtrack_batch.detection.params import DetectionParams
 from vtrack_batch.detection.place import Place
+from vtrack_batch.detection.plausible import Driven, plausible
 from vtrack_batch.detection.standing import Standing, find_standing, moving_boxes, with_standing
 from vtrack_batch.model.flags import DetectionFlag
 
@@ -91,8 +92,7 @@ def block(
     road = np.zeros((int(HEIGHT * GSD_M * 2), int(WIDTH * GSD_M * 2)), bool)
     road[int(98 * GSD_M * 2) : int(144 * GSD_M * 2)] = True
     levels = np.dstack([empty, np.full(empty.shape[:2], 4, np.uint8)])
-    seen = np.ones(empty.shape[:2], bool)
-    background = Background(levels, seen, ~seen, Shadows(None), 31, 0.35)
+    background = Background(levels, Shadows(None), 31, 0.35)
     return background, examples, Place(road, np.zeros(2), SCALE, True, False, tuple(chained))
 
 
@@ -101,7 +101,7 @@ def street() -> tuple[Background, Examples, Place]:
     return block(PARKED)
 
 
-def look(street: tuple[Background, Examples, Place], driven: Sequence[np.ndarray] = (), **changes: object) -> Standing:
+def look(street: tuple[Background, Examples, Place], driven: Sequence[Driven] = (), **changes: object) -> Standing:
     params = PARAMS.model_copy(update=changes)
     return find_standing(*street, driven, metres_per_px=SCALE, params=params)
 
@@ -185,3 +185,53 @@ def test_the_score_is_one_on_vehicles_and_minus_one_elsewhere() -> None:
     looks = learn_appearance(vehicles, others)
     assert looks.score(vehicles).mean() == pytest.approx(1, abs=0.1)
     assert looks.score(others).mean() == pytest.approx(-1, abs=0.1)
+
+
+def seen(boxes: list[tuple[float, float, float]], moving: int) -> Driven:
+    """What a frame shows in reference px; the first so many move."""
+    found = candidates(boxes)
+    axes = (found.col_px, found.row_px, found.lx_px, found.ly_px, found.wx_px, found.wy_px)
+    return Driven(np.stack(axes, axis=1), np.arange(moving))
+
+
+@pytest.mark.parametrize(("there", "left"), [(range(4, 9), 0), ((0, 1, 4, 5, 6), 1), ((0, 4, 5, 6), 0)])
+def test_others_may_drive_there_before_it_came_and_after_it_left(
+    street: tuple[Background, Examples, Place], there: Sequence[int], left: int
+) -> None:
+    """Of twelve frames some show the vehicle, and in all the others somebody drives over its place."""
+    col_px, row_px, _ = PARKED[0]
+    frames = [seen([] if i in there else [(col_px + 2, row_px, 0.0)], moving=1 - (i in there)) for i in range(12)]
+    assert len(look(street, frames).score) == len(PARKED) - left
+
+
+@pytest.mark.parametrize(("ahead_m", "turn", "left"), [(4.0, 90.0, 1), (4.0, 0.0, 0), (8.0, 90.0, 0)])
+def test_nothing_stands_across_the_way_of_others(
+    street: tuple[Background, Examples, Place], ahead_m: float, turn: float, left: int
+) -> None:
+    col_px, row_px, _ = PARKED[0]
+    away = ahead_m / GSD_M * np.array([np.cos(np.radians(turn)), -np.sin(np.radians(turn))])
+    passing = (col_px + away[0], row_px + away[1], turn)
+    frames = [seen([passing] if i in (3, 6) else [], moving=int(i in (3, 6))) for i in range(9)]
+    assert len(look(street, frames).score) == len(PARKED) - left
+
+
+@pytest.mark.parametrize(("leaves", "more"), [((60, 84, 42), 0), ((60, 64, 88), 1)])
+def test_what_is_green_must_look_more_like_a_vehicle(
+    street: tuple[Background, Examples, Place], leaves: tuple[int, int, int], more: int
+) -> None:
+    image = land()
+    draw(image, *PARKED[1], leaves)
+    boxes = np.array([[*PARKED[1][:2], 2.2 / GSD_M, 0.0, 0.0, 0.9 / GSD_M]])
+    for score, kept in ((0.6, more), (0.8, 1)):
+        may = plausible(street[0], image, street[2], boxes, np.array([score]), (1 / GSD_M, 1 / GSD_M))
+        assert may.sum() == kept
+
+
+def test_a_gap_between_vehicles_is_no_vehicle(street: tuple[Background, Examples, Place]) -> None:
+    image = land()
+    for col_px in (135.0, 165.0):
+        draw(image, col_px, 110.0, 0.0, PAINTS[2])
+    boxes = np.array([[col_px, 110.0, 2.2 / GSD_M, 0.0, 0.0, 0.9 / GSD_M] for col_px in (135.0, 150.0)])
+    boxes[1, 2] = 1.0 / GSD_M
+    may = plausible(street[0], image, street[2], boxes, np.ones(2), (1 / GSD_M, 1 / GSD_M))
+    assert may.tolist() == [True, False]

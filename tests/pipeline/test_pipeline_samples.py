@@ -48,4 +48,3 @@ def test_background_does_not_tell_where_its_samples_waited(tmp_path: Path, monke
         kept = [Sample(keep(frame), h) for frame, h in zip(frames(5), poses, strict=True)]
         on_disk = learn_background(kept, params=BackgroundParams())
     np.testing.assert_array_equal(on_disk.levels, in_memory.levels)
-    np.testing.assert_array_equal(on_disk.activity, in_memory.activity)

@@ -23,9 +23,3 @@ def without_data(pixels: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
     square = np.ones((_WEDGE_PX, _WEDGE_PX), np.uint8)
     wedge = cv2.morphologyEx(black, cv2.MORPH_OPEN, square)
     return np.asarray(cv2.dilate(wedge, np.ones((5, 5), np.uint8)), np.uint8) if wedge.any() else None
-
-
-def has_data(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return (H, W) uint8: 255 where the frame (H, W, 3) holds data, 0 where it is without."""
-    missing = without_data(pixels)
-    return np.full(pixels.shape[:2], 255, np.uint8) if missing is None else np.asarray(cv2.bitwise_not(missing))

@@ -39,10 +39,22 @@ class Exposure:
     levels: NDArray[np.float32]
     gain: NDArray[np.float32]
 
-    def gain_map(self, height: int, width: int) -> NDArray[np.float32]:
-        """Return the gain for a picture of *height* x *width* pixels, one value per 8 x 8 pixels."""
+    def gain_map(self, height: int, width: int, rows: tuple[int, int] | None = None) -> NDArray[np.float32]:
+        """Return the gain for a picture of *height* x *width* pixels, one value per 8 x 8 pixels.
+
+        Of the *rows* alone, if given: it then begins at the cell in which the first of them lies.
+        """
         cell = 1 << GAIN_SHIFT
-        return np.asarray(cv2.resize(self.gain, (-(-width // cell), -(-height // cell))), np.float32)
+        size = -(-width // cell), -(-height // cell)
+        if rows is None:
+            return np.asarray(cv2.resize(self.gain, size), np.float32)
+        first, last = rows[0] // cell, -(-rows[1] // cell)
+        across, down = self.gain.shape[1] / size[0], self.gain.shape[0] / size[1]
+        into = np.array([[across, 0, (across - 1) / 2], [0, down, down * (first + 0.5) - 0.5]])
+        how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        wanted = (size[0], last - first)
+        part = cv2.warpAffine(self.gain, into, wanted, flags=how, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(part, np.float32)
 
 
 def fit_exposure(

@@ -9,13 +9,14 @@ colour stays without a break, it has no more than two votes.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 _CELL_PX = 8
-_STRIP_PX = 16 * _CELL_PX
 _REACHES_PX = (32, 96, 288)
 _ENOUGH = 0.03
 _SAME = 8.0
@@ -28,43 +29,62 @@ _NEAR = 40.0
 _KIND_APART = 0.85
 
 
-def road_nearby(pixels: NDArray[np.uint8], traffic: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return the mean colour (H, W, 3) uint8 of *pixels* where *traffic* (H, W) bool is, as near as there is enough.
+@dataclass(frozen=True, eq=False)
+class Road:
+    """The ``colour`` (h, w, 3) uint8 of the road nearby, 0 where there is none, spread evenly over a frame's ``size``.
 
-    Pixels far from all traffic get 0.
+    The size is rows and columns.
     """
-    height, width = traffic.shape
-    cells = (-(-width // _CELL_PX), -(-height // _CELL_PX))
-    share, colour = np.empty(cells[::-1], np.float32), np.empty((*cells[::-1], 3), np.float32)
-    # Strip by strip, for memory's sake.
-    for top in range(0, height, _STRIP_PX):
-        at, into = slice(top, top + _STRIP_PX), slice(top // _CELL_PX, -(-min(top + _STRIP_PX, height) // _CELL_PX))
-        size, weight = (cells[0], into.stop - into.start), traffic[at].astype(np.float32)
-        share[into] = cv2.resize(weight, size, interpolation=cv2.INTER_AREA)
-        colour[into] = cv2.resize(pixels[at] * weight[:, :, None], size, interpolation=cv2.INTER_AREA)
+
+    colour: NDArray[np.uint8]
+    size: tuple[int, int]
+
+    def part(self, rows: tuple[int, int], columns: tuple[int, int]) -> NDArray[np.uint8]:
+        """Return the colour (h, w, 3) at the pixels of some rows and columns."""
+        down, across = (own / whole for own, whole in zip(self.colour.shape, self.size, strict=False))
+        into = np.array(
+            [[across, 0.0, across * (columns[0] + 0.5) - 0.5], [0.0, down, down * (rows[0] + 0.5) - 0.5]], np.float64
+        )
+        size, how = (columns[1] - columns[0], rows[1] - rows[0]), cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        return np.asarray(cv2.warpAffine(self.colour, into, size, flags=how, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+
+
+def road_nearby(pixels: NDArray[np.uint8], traffic: NDArray[np.bool_], *, step: int, size: tuple[int, int]) -> Road:
+    """Return the mean colour of *pixels* (h, w, 3) where *traffic* (h, w) bool is, as near as there is enough.
+
+    They are *step* pixels of a frame of *size* apart. Places far from all traffic get 0.
+    """
+    cell = max(1, round(_CELL_PX / step))
+    cells = (-(-traffic.shape[1] // cell), -(-traffic.shape[0] // cell))
+    weight = traffic.astype(np.float32)
+    share = cv2.resize(weight, cells, interpolation=cv2.INTER_AREA)
+    colour = cv2.resize(pixels * weight[:, :, None], cells, interpolation=cv2.INTER_AREA)
     road = np.zeros_like(colour)
     open_ = np.ones(share.shape, np.bool_)
     for reach in _REACHES_PX:
-        sigma = reach / _CELL_PX
+        sigma = reach / (cell * step)
         mass = cv2.GaussianBlur(share, (0, 0), sigma)
         mean = cv2.GaussianBlur(colour, (0, 0), sigma) / np.maximum(mass, 1e-6)[:, :, None]
         found = open_ & (mass >= _ENOUGH)
         road[found] = mean[found]
         open_ &= ~found
-    return np.asarray(cv2.resize(np.clip(road, 0, 255).astype(np.uint8), (width, height)), np.uint8)
+    return Road(np.clip(road, 0, 255).astype(np.uint8), size)
 
 
 def unrest(stack: NDArray[np.uint8], window_px: int) -> NDArray[np.uint8]:
-    """Return the largest range of a channel (n, h, w) uint8 in a square around each pixel of *stack* (n, h, w, 3)."""
-    square = np.ones((window_px, window_px), np.uint8)
-    return np.stack([cv2.subtract(cv2.dilate(one, square), cv2.erode(one, square)).max(axis=2) for one in stack])
+    """Return the largest range of a channel (n, h, w) uint8 in a square around each pixel of *stack* (n, 3, h, w)."""
+    square, largest = np.ones((window_px, window_px), np.uint8), np.empty_like(stack[:, 0])
+    for planes, found in zip(stack, largest, strict=True):
+        ranges = [cv2.subtract(cv2.dilate(plane, square), cv2.erode(plane, square)) for plane in planes]
+        cv2.max(cv2.max(ranges[0], ranges[1]), ranges[2], found)
+    return largest
 
 
 @njit(cache=True, nogil=True)
 def replace_busy(image, spread, stack, covered, restless, busy, road):  # type: ignore[no-untyped-def]
     """Overwrite *image* (h, w, 3) and *spread* (h, w), uint8, where *busy* (h, w) bool, by the mode of *stack*.
 
-    *stack* (n, h, w, 3) uint8, in order of time, counts where *covered* (n, h, w) bool, the less, the more *restless*
+    *stack* (n, 3, h, w) uint8, in order of time, counts where *covered* (n, h, w), the less, the more *restless*
     (n, h, w) uint8 it is; *road* (h, w, 3) uint8 = colour of road nearby, 0 = none. The spread becomes that of the
     samples like the mode, where these are a kind of their own.
     """
@@ -78,7 +98,7 @@ def replace_busy(image, spread, stack, covered, restless, busy, road):  # type: 
             for i in range(count):
                 if covered[i, r, c]:
                     for k in range(3):
-                        levels[n, k] = stack[i, r, c, k]
+                        levels[n, k] = stack[i, k, r, c]
                     weight[n] = restless[i, r, c]
                     calmest = min(calmest, weight[n])
                     n += 1

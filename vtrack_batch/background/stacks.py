@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vtrack_batch.background.coverage import has_data
+from vtrack_batch.background.coverage import without_data
 from vtrack_batch.background.exposure import GAIN_SHIFT, Exposure, expose
 from vtrack_batch.model import homography
 
@@ -47,22 +47,23 @@ class Stacks:
     samples: Sequence[Sample]
     exposures: Sequence[Exposure]
 
-    def part(self, rows: tuple[int, int], columns: tuple[int, int]) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-        """Return the samples' colours (n, h, w, 3) and where each covers the ground (n, h, w).
+    def part(self, rows: tuple[int, int], columns: tuple[int, int]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+        """Return the samples' colours (n, 3, h, w) and where each covers the ground (n, h, w): 255, else 0.
 
         *columns* begin at a whole node of the gain.
         """
         height, width = self.samples[0].pixels.shape[:2]
         size = (columns[1] - columns[0], rows[1] - rows[0])
-        stack = np.empty((len(self.samples), size[1], size[0], 3), np.uint8)
-        covered = np.empty(stack.shape[:3], np.bool_)
+        stack = np.empty((len(self.samples), 3, size[1], size[0]), np.uint8)
+        covered = np.empty((len(self.samples), size[1], size[0]), np.uint8)
         corner = np.array([[1.0, 0.0, columns[0]], [0.0, 1.0, rows[0]], [0.0, 0.0, 1.0]])
         for i, (sample, exposure) in enumerate(zip(self.samples, self.exposures, strict=True)):
-            below, to_below = _part_below(sample, corner, size)
-            stack[i] = _warp(below, to_below, size, cv2.INTER_LINEAR)
-            covered[i] = _warp(has_data(below), to_below, size, cv2.INTER_LINEAR) == 255
-            gain = exposure.gain_map(height, width)[:, columns[0] >> GAIN_SHIFT :]
-            expose(stack[i], exposure.levels, gain, rows[0])
+            # Four channels are laid in half the time that three take.
+            laid = _warp(*_part_below(sample, corner, size), size, cv2.INTER_LINEAR)
+            gain = exposure.gain_map(height, width, rows)[:, columns[0] >> GAIN_SHIFT :]
+            expose(laid, exposure.levels, gain, rows[0] & ((1 << GAIN_SHIFT) - 1))
+            cv2.split(laid, [*stack[i], covered[i]])
+            cv2.threshold(covered[i], 254, 255, cv2.THRESH_BINARY, covered[i])
         return stack, covered
 
 
@@ -73,24 +74,31 @@ def points_of(sample: Sample, step: int) -> tuple[NDArray[np.uint8], NDArray[np.
     for top in range(0, height, STRIP_ROWS):
         size = (width, min(STRIP_ROWS, height - top))
         grid = np.array([[step, 0.0, 0.0], [0.0, step, step * top], [0.0, 0.0, 1.0]])
-        part, to_part = _part_below(sample, grid, size)
+        part = _warp(*_part_below(sample, grid, size), size, cv2.INTER_NEAREST)
         rows = slice(top, top + size[1])
-        colours[rows] = _warp(part, to_part, size, cv2.INTER_NEAREST)
-        covered[rows] = _warp(has_data(part), to_part, size, cv2.INTER_NEAREST) > 0
+        colours[rows], covered[rows] = part[:, :, :3], part[:, :, 3] > 0
     return colours, covered
 
 
 def _part_below(
     sample: Sample, to_reference: NDArray[np.float64], size: tuple[int, int]
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """Return the rows of a sample onto which a picture of *size* maps, and how; some more tell wedges there."""
+    """Return the rows of a sample onto which a picture of *size* maps, and how; some more tell wedges there.
+
+    Colours (h, w, 4), the fourth of which says where there are data: 255, else 0.
+    """
     to_frame = np.linalg.inv(sample.frame_to_reference) @ to_reference
     rows = homography.apply(to_frame, homography.corners(*size))[:, 1]
     height = sample.pixels.shape[0]
     first = int(np.clip(np.floor(rows.min()) - _ROWS_AROUND, 0, height - 1))
     last = int(np.clip(np.ceil(rows.max()) + _ROWS_AROUND, first + 1, height))
     up = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, -first], [0.0, 0.0, 1.0]])
-    return np.ascontiguousarray(sample.pixels[first:last]), np.asarray(up @ to_frame)
+    pixels = np.ascontiguousarray(sample.pixels[first:last])
+    below = cv2.cvtColor(pixels, cv2.COLOR_RGB2RGBA)
+    missing = without_data(pixels)
+    if missing is not None:
+        below[:, :, 3] = cv2.bitwise_not(missing)
+    return np.asarray(below, np.uint8), np.asarray(up @ to_frame)
 
 
 def _warp(

@@ -69,7 +69,7 @@ def subtract(
     picture, target = np.ascontiguousarray(frame[::step, ::step]), np.ascontiguousarray(points[:, :, :3])
     exposure = fit_exposure(picture, target, points[:, :, 3] < _UNSEEN, tile_px=tile_px / step)
     light = exposure.levels, exposure.gain_map(height, width)
-    cells = np.ascontiguousarray(np.argwhere(_worth_a_look(_probe(frame, ground, matrix, *light, threshold))))
+    cells = _worth_a_look(_probe(frame, ground, matrix, *light, threshold))
     evidence, classes = np.zeros((height, width), np.uint8), np.zeros((height, width), np.uint8)
     _classify(frame, ground, matrix, *light, threshold, shadow_band, cells, evidence, classes)
     return Difference(evidence, classes, exposure, ground, matrix)
@@ -123,15 +123,27 @@ def _strength(frame, row, column, ground, r, c, levels, gain):  # type: ignore[n
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _places_of(matrix, columns, row, rows_there, columns_there):  # type: ignore[no-untyped-def]
+    """Fill in what ``place_of`` tells of pixels of one row, all at once: it is mostly divisions."""
+    for j in range(len(columns)):
+        shrink = 1.0 / (matrix[2, 0] * columns[j] + matrix[2, 1] * row + matrix[2, 2])
+        x = (matrix[0, 0] * columns[j] + matrix[0, 1] * row + matrix[0, 2]) * shrink
+        y = (matrix[1, 0] * columns[j] + matrix[1, 1] * row + matrix[1, 2]) * shrink
+        rows_there[j], columns_there[j] = np.floor(y + 0.5), np.floor(x + 0.5)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _probe(frame, ground, matrix, levels, gain, threshold):  # type: ignore[no-untyped-def]
     """Return the evidence at the middle pixel of every cell of 3 x 3; full where no ground is known."""
     height, width = frame.shape[:2]
     probes = np.zeros(((height + _CELL - 1) // _CELL, (width + _CELL - 1) // _CELL), np.uint8)
+    columns = np.minimum(_CELL * np.arange(probes.shape[1]) + 1, width - 1)
+    rows_there, columns_there = np.empty(len(columns)), np.empty(len(columns))
     for i in range(probes.shape[0]):
         row = min(_CELL * i + 1, height - 1)
+        _places_of(matrix, columns, row, rows_there, columns_there)
         for j in range(probes.shape[1]):
-            column = min(_CELL * j + 1, width - 1)
-            r, c = place_of(matrix, column, row)
+            column, r, c = columns[j], int(rows_there[j]), int(columns_there[j])
             if r < 0 or r >= ground.shape[0] or c < 0 or c >= ground.shape[1] or ground[r, c, 3] == _UNSEEN:
                 probes[i, j] = 9 * (_WORTH_A_LOOK + 1)
                 continue
@@ -143,22 +155,24 @@ def _probe(frame, ground, matrix, levels, gain, threshold):  # type: ignore[no-u
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _classify(frame, ground, matrix, levels, gain, threshold, shadow, cells, evidence, classes):  # type: ignore[no-untyped-def]
-    """Fill *evidence* and *classes*, both zero before, in the *cells* (n, 2) at row and column."""
+    """Fill *evidence* and *classes*, both zero before, where *cells* (rows, columns) of 3 x 3 pixels are not zero."""
     height, width = frame.shape[:2]
-    for n in range(len(cells)):
-        top, left = _CELL * cells[n, 0], _CELL * cells[n, 1]
-        for row in range(top, min(top + _CELL, height)):
-            for column in range(left, min(left + _CELL, width)):
-                r, c = place_of(matrix, column, row)
-                if r < 0 or r >= ground.shape[0] or c < 0 or c >= ground.shape[1] or ground[r, c, 3] == _UNSEEN:
-                    classes[row, column] = UNSEEN
-                    continue
-                g = gain[row >> GAIN_SHIFT, column >> GAIN_SHIFT]
-                strength = _strength(frame, row, column, ground, r, c, levels, g) / threshold - 0.5
-                if strength > 0.0:
-                    evidence[row, column] = int(min(strength, 1.0) * FULL)
-                    shaded = _is_shaded(frame, row, column, ground, r, c, levels, g, shadow)
-                    classes[row, column] = SHADOW if shaded else OBJECT
+    for i in range(cells.shape[0]):
+        for j in range(cells.shape[1]):
+            if not cells[i, j]:
+                continue
+            for row in range(_CELL * i, min(_CELL * i + _CELL, height)):
+                for column in range(_CELL * j, min(_CELL * j + _CELL, width)):
+                    r, c = place_of(matrix, column, row)
+                    if r < 0 or r >= ground.shape[0] or c < 0 or c >= ground.shape[1] or ground[r, c, 3] == _UNSEEN:
+                        classes[row, column] = UNSEEN
+                        continue
+                    g = gain[row >> GAIN_SHIFT, column >> GAIN_SHIFT]
+                    strength = _strength(frame, row, column, ground, r, c, levels, g) / threshold - 0.5
+                    if strength > 0.0:
+                        evidence[row, column] = int(min(strength, 1.0) * FULL)
+                        shaded = _is_shaded(frame, row, column, ground, r, c, levels, g, shadow)
+                        classes[row, column] = SHADOW if shaded else OBJECT
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

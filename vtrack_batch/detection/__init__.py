@@ -11,13 +11,14 @@ Steps
    boxes made of what a better one left over; ``measure`` takes colour, area and contrast from inside. Weak
    candidates are kept with their score.
 2. ``place.learn_place``, once a block: ``chains`` of strict candidates that move steadily along their own axis, fast or
-   for long, draw the road.
+   for long, or, where frames are far apart, fitting closely, draw the road; over ground of one hue, for roofs have
+   another.
 3. ``place.select``: on the road weak candidates count as well; elsewhere only members of chains, and strict ones if
    most strict ones lie on the road (else they are roofs). No frame is decoded twice. With too few chains (few frames,
    no traffic) strict candidates count everywhere.
 4. ``standing.find_standing``, once a block, by what the moving vehicles look like (``examples``, ``appearance``,
-   ``scan``): vehicles in the background itself; ``standing.with_standing`` adds them to the frames in which nothing
-   else lies on their place, with flag IN_BACKGROUND.
+   ``scan``, ``plausible``): vehicles in the background itself; ``standing.with_standing`` adds them to the frames in
+   which nothing else lies on their place, with flag IN_BACKGROUND.
 5. ``ground.measure_on_ground``: one matrix per frame takes centres and axes to metres; frames are never resampled.
 
 A box is scored by evidence inside, minus evidence just outside, plus the cast shadow on the far side from the sun. The
@@ -25,8 +26,8 @@ best box takes its pixels and its shadow, then the next is found; this splits qu
 whole that a windscreen cuts.
 
 Assumptions: vehicles are 4 to 18 m long and 2 m wide; the ground is nearly a plane and frames are registered to about
-half a metre; roofs may drift by parallax, but slower than 1.5 m/s or not straight. What never
-moves is found only near the road, if it looks like a car and stands on ground of the road's hue.
+half a metre; roofs may drift by parallax, but slower than 1.5 m/s or not straight. What never moves is found only near
+the road, if it looks like a car and stands on ground of the road's hue. A shadow lies beside what casts it.
 
 Source: design after measurements on KIT AIS frames and rendered archives; oriented matched filters after greedy pursuit
 (Mallat and Zhang 1993); two rounds, so that the road sorts out what one frame cannot.

@@ -1,7 +1,8 @@
 """Greedy fit of oriented boxes to the evidence: the best box first, its pixels taken, then the next.
 
 Evidence inside counts for a box, occupied rims against it (two cars in a row are two boxes, not a lorry), and cast
-shadow on the far side from the sun for it. So queues are split, and cars cut by their windscreen stay whole.
+shadow on the far side from the sun for it. So queues are split, and cars cut by their windscreen stay whole. Paint may
+be as dark as a shadow; but a shadow has something that casts it, so what no box explains in the end is such paint.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from vtrack_batch.background.subtract import FULL, Difference
 from vtrack_batch.detection.params import DetectionParams
-from vtrack_batch.detection.seeds import HIDDEN, find_seeds, make_layers
+from vtrack_batch.detection.seeds import HIDDEN, Layers, find_seeds, make_layers
 from vtrack_batch.detection.templates import CAST, FRONT, INSIDE, LEFT, Templates
 
 Boxes = NDArray[np.float64]
@@ -32,8 +33,22 @@ _HEMMED_IN = 0.3
 def fit_boxes(
     difference: Difference, templates: Templates, px_per_m: tuple[float, float], params: DetectionParams
 ) -> Boxes:
-    """Return boxes whose score is at least ``weak_score``, best first, in a picture with *px_per_m* (x, y)."""
+    """Return boxes whose score is at least ``weak_score``, best first, in a picture with *px_per_m* (x, y).
+
+    Then come those of at least ``dark_score`` that are made of shadow which nothing found before casts.
+    """
     layers = make_layers(difference, templates.margin, params.shadow_evidence)
+    boxes = _fitted(layers, templates, px_per_m, params, params.weak_score)
+    # A shadow has something that casts it: what no box explains is dark paint.
+    if _uncast(layers.inner, layers.cast, params.shadow_evidence) == 0:
+        return boxes
+    return np.concatenate([boxes, _fitted(layers, templates, px_per_m, params, params.dark_score)])
+
+
+def _fitted(
+    layers: Layers, templates: Templates, px_per_m: tuple[float, float], params: DetectionParams, least: float
+) -> Boxes:
+    """Fit boxes of score *least* to what is left in *layers*, and take it out."""
     seeds = find_seeds(layers, px_per_m, params.seed_step_m)
     width = layers.inner.shape[1]
     start = templates.margin * width + templates.margin
@@ -41,10 +56,22 @@ def fit_boxes(
     # Unsigned indices spare the check for negative ones, which is half the time of a sum.
     offsets = (templates.offsets[:, 0] * width + templates.offsets[:, 1] + start).astype(np.uint64)
     places = (seeds.grid * seeds.step) @ np.array([width, 1])
-    weights = np.array([params.rim_weight, params.shadow_weight, params.visible_share, params.weak_score])
+    weights = np.array([params.rim_weight, params.shadow_weight, params.visible_share, least])
     flat = layers.inner.ravel(), layers.rim.ravel(), layers.cast.ravel()
     drawn = offsets, templates.starts, templates.half_axes, templates.shades
     return np.asarray(_fit(*flat, width, start, *drawn, seeds.grid, places, seeds.core, weights))
+
+
+@njit(cache=True, nogil=True)
+def _uncast(inner, cast, shadow_evidence):  # type: ignore[no-untyped-def]
+    """Let shadow that is left in *inner* count like an object; return how many pixels do."""
+    count = 0
+    for r in range(inner.shape[0]):
+        for c in range(inner.shape[1]):
+            if cast[r, c] == 1 and inner[r, c] > 0:
+                inner[r, c] = min(FULL, int(inner[r, c] / shadow_evidence + 0.5))
+                count += 1
+    return count
 
 
 @njit(cache=True, nogil=True)

@@ -1,7 +1,8 @@
 """Fast, straight chains of sightings: what surely is traffic, found before anything is known of the place.
 
 Roofs seen from moving platforms drift slowly and trees move to and fro; only vehicles hold a speed of some metres a
-second along their own axis, with one colour, over four sightings.
+second along their own axis, with one colour, over four sightings; or over three that fit closely, where frames are far
+apart in time.
 """
 
 from __future__ import annotations
@@ -21,14 +22,22 @@ Floats = NDArray[np.float64]
 _CELL_M = 1.0
 # What goes to and fro does not drive.
 _STRAIGHT = 0.8
+_TURN = float(np.radians(25.0))
+_COS_TURN = float(np.cos(_TURN))
+_GROWTH = 1.6
+_FEWEST_LINKS = 3
+# Another vehicle may have come to the place of one.
+_MOST_STANDING = 1
+_ROOFS_DRIFT_MPS = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class Sightings:
-    """Strict candidates of one frame in metres: ``xy`` (n, 2), unit ``axis`` (n, 2), ``colour`` (n, 3)."""
+    """Strict candidates of a frame, metres: ``xy`` (n, 2), unit ``axis`` (n, 2), ``length`` (n,), ``colour`` (n, 3)."""
 
     xy: Floats
     axis: Floats
+    length: Floats
     colour: Floats
 
 
@@ -45,17 +54,49 @@ class Chains:
         return Chains(self.frames[chosen], self.rows[chosen], self.lines[chosen])
 
 
-def find_chains(
-    frames: Sequence[Sightings], times_s: Floats, *, links: int, least_mps: float, params: DetectionParams
-) -> Chains:
-    """Return all straight chains of *links* sightings at successive frames that begin faster than *least_mps*.
+@dataclass(frozen=True)
+class Kind:
+    """What a chain must be: so many ``links``, faster than ``least_mps`` where it begins, of so little ``misfit``."""
+
+    links: int
+    least_mps: float
+    misfit: float = np.inf
+
+    @property
+    def loose(self) -> bool:
+        """Whether a chain has so many links that it need not fit closely."""
+        return not np.isfinite(self.misfit)
+
+
+def kinds_of(times_s: Floats, params: DetectionParams) -> list[Kind]:
+    """Return the kinds of chains that frames at *times_s* may show.
+
+    Where frames are far apart, vehicles are gone before they were seen often: fewer sightings that span a time do, but
+    must fit closely, for chance makes chains of few, and leads from one that stands to the next.
+    """
+    intervals = np.diff(np.sort(times_s))
+    apart_s = _frame_step(intervals, params.chain_interval_s) * float(np.median(intervals)) if len(intervals) else 0.0
+    fast = params.chain_links, params.chain_speed_mps, params.chain_span_s
+    slow = params.slow_chain_links, params.slow_chain_speed_mps, params.slow_chain_span_s
+    kinds = []
+    for links, least_mps, span_s in (fast, slow):
+        kinds.append(Kind(links, least_mps))
+        fewer = max(_FEWEST_LINKS, 1 + int(np.ceil(span_s / apart_s - 1e-6))) if apart_s > 0 else links
+        if fewer < links:
+            kinds.append(Kind(fewer, least_mps, params.short_chain_misfit))
+    return kinds
+
+
+def find_chains(frames: Sequence[Sightings], times_s: Floats, kind: Kind, *, params: DetectionParams) -> Chains:
+    """Return all straight chains of a *kind* at successive frames.
 
     Where frames come faster than ``chain_interval_s``, every s-th frame counts as successive. The speed is nearly
     constant, along the axis of every box, on the whole faster than roofs seem to drift, and colours agree.
     """
     order = np.argsort(times_s, kind="stable")
     step = _frame_step(np.diff(times_s[order]), params.chain_interval_s)
-    speeds = least_mps, min(least_mps, params.slow_chain_speed_mps), params.fastest_mps
+    links = kind.links
+    speeds = kind.least_mps, min(kind.least_mps, params.slow_chain_speed_mps), params.fastest_mps
     limits = np.array([*speeds, params.chain_miss_m, params.chain_accel_mps2, params.chain_colour])
     where, which = [np.zeros((0, links), np.int64)], [np.zeros((0, links), np.int64)]
     lines = [np.zeros((0, links, 2))]
@@ -67,10 +108,49 @@ def find_chains(
             np.concatenate([getattr(part, name) for part in parts]) for name in ("xy", "axis", "colour")
         )
         rows = _chains(xy, axis, colour, starts, times_s[members], limits)
+        if not kind.loose:
+            length = np.concatenate([part.length for part in parts])
+            chosen = rows + starts[:-1]
+            off = _misfit(xy[chosen], axis[chosen], length[chosen], colour[chosen], times_s[members], params)
+            rows = rows[off <= kind.misfit]
         where.append(np.broadcast_to(members, rows.shape))
         which.append(rows)
         lines.append(xy[rows + starts[:-1]])
-    return Chains(np.concatenate(where), np.concatenate(which), np.concatenate(lines))
+    found = Chains(np.concatenate(where), np.concatenate(which), np.concatenate(lines))
+    if kind.loose:
+        return found
+    starts = np.cumsum([0, *(len(seen.xy) for seen in frames)])
+    stands = _standing(frames, times_s, params, drift_mps=_ROOFS_DRIFT_MPS)[starts[found.frames] + found.rows]
+    return found.take(stands.sum(axis=1) <= _MOST_STANDING)
+
+
+def _misfit(
+    lines: Floats, axis: Floats, length: Floats, colour: Floats, times_s: Floats, params: DetectionParams
+) -> Floats:
+    """Return for each chain (m, links, ...) the sum of the squares of what does not fit, each in parts of its limit.
+
+    That is the miss sideways and along the way, turns of the boxes, changes of colour and of length. Chance fills the
+    limits evenly, so the sum says how rare such a chain is by chance.
+    """
+    elapsed = np.diff(times_s)
+    steps = np.diff(lines, axis=1)
+    velocity = steps / elapsed[:, None]
+    speed = np.maximum(np.linalg.norm(velocity, axis=2), 1e-9)
+    way = velocity / speed[:, :, None]
+    off = steps[:, 1:] - velocity[:, :-1] * elapsed[1:, None]
+    aside = np.abs(off[..., 0] * way[:, :-1, 1] - off[..., 1] * way[:, :-1, 0])
+    along = np.abs((off * way[:, :-1]).sum(axis=2))
+    reach = params.chain_miss_m + params.chain_accel_mps2 * elapsed[1:] * (elapsed[:-1] + elapsed[1:]) / 2
+    turned = [np.arccos(np.clip(np.abs((box * way).sum(axis=2)), 0, 1)) for box in (axis[:, :-1], axis[:, 1:])]
+    changes = np.abs(np.diff(colour, axis=1)).max(axis=2)
+    parts = (
+        aside / params.chain_miss_m,
+        along / reach,
+        np.maximum(*turned) / _TURN,
+        changes / params.chain_colour,
+        np.diff(np.log(length), axis=1) / np.log(_GROWTH),
+    )
+    return np.asarray(sum((part**2).max(axis=1) for part in parts))
 
 
 def supported(
@@ -95,14 +175,20 @@ def supported(
     return [kind.take(share >= params.chain_support) for kind, share in zip(kinds, shares, strict=True)]
 
 
-def _standing(frames: Sequence[Sightings], times_s: Floats, params: DetectionParams) -> NDArray[np.bool_]:
-    """Return which sightings, one frame after the other, are seen again in the frame before or after in time."""
+def _standing(
+    frames: Sequence[Sightings], times_s: Floats, params: DetectionParams, *, drift_mps: float = 0.0
+) -> NDArray[np.bool_]:
+    """Return which sightings, one frame after the other, are seen again nearby in the frame before or after in time.
+
+    Nearby is what may be missed by, or what *drift_mps* reaches.
+    """
     order = np.argsort(times_s, kind="stable")
     step = _frame_step(np.diff(times_s[order]), params.chain_interval_s)
     found = [np.zeros(len(seen.xy), np.bool_) for seen in frames]
     for one, other in zip(order[:-step], order[step:], strict=True):
         here, there = frames[one], frames[other]
-        limits = params.chain_miss_m, params.chain_colour
+        reach = max(params.chain_miss_m, drift_mps * float(times_s[other] - times_s[one]))
+        limits = reach, params.chain_colour
         _mark_again(here.xy, here.colour, there.xy, there.colour, *limits, found[one], found[other])
     return np.concatenate(found)
 
@@ -202,7 +288,7 @@ def _chains(xy, axis, colour, starts, times, limits):  # type: ignore[no-untyped
 
 @njit(cache=True, nogil=True)
 def _fits(i, j, x, y, axis, colour, limit):  # type: ignore[no-untyped-def]
-    """Whether both boxes point along (x, y), within 25 degrees, and have one colour."""
-    if abs(axis[i, 0] * x + axis[i, 1] * y) < 0.906 or abs(axis[j, 0] * x + axis[j, 1] * y) < 0.906:
+    """Whether both boxes point along (x, y), within _TURN, and have one colour."""
+    if abs(axis[i, 0] * x + axis[i, 1] * y) < _COS_TURN or abs(axis[j, 0] * x + axis[j, 1] * y) < _COS_TURN:
         return False
     return np.abs(colour[i] - colour[j]).max() <= limit

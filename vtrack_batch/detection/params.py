@@ -32,6 +32,12 @@ class DetectionParams(Params):
     shadow_weight: float = Field(0.25, ge=0, description="what a complete cast shadow adds to a box's score")
     shadow_reach_m: float = Field(1.2, gt=0, description="length of cast shadow that is looked for")
     weak_score: float = Field(0.5, gt=0, le=1, description="least score of a candidate on a known road")
+    dark_score: float = Field(
+        1.0,
+        gt=0,
+        le=1.5,
+        description="least score of a candidate made of shadow that nothing seems to cast: dark paint",
+    )
     strict_score: float = Field(0.60, gt=0, le=1.5, description="least score of a candidate anywhere")
     visible_share: float = Field(
         0.6, gt=0, le=1, description="least share of a box inside the frame and on seen ground"
@@ -45,6 +51,13 @@ class DetectionParams(Params):
     slow_chain_links: int = Field(6, ge=3, description="sightings in a chain of slow vehicles that teaches the road")
     slow_chain_speed_mps: float = Field(
         1.5, gt=0, description="least speed of a slow chain: roofs seem to drift slower"
+    )
+    chain_span_s: float = Field(
+        1.5, gt=0, description="least time between first and last of fewer sightings that make a chain"
+    )
+    slow_chain_span_s: float = Field(2.5, gt=0, description="the same for a chain of slow vehicles")
+    short_chain_misfit: float = Field(
+        1.0, gt=0, description="largest sum of squared misfits, in parts of their limits, in a chain of fewer sightings"
     )
     fastest_mps: float = Field(60.0, gt=0, description="highest speed of a chain")
     chain_miss_m: float = Field(1.0, gt=0, description="most that a sighting may miss its chain by, sideways")

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from vtrack_batch.detection.candidates import Candidates
-from vtrack_batch.detection.chains import Chains, Sightings, find_chains, supported
+from vtrack_batch.detection.chains import Chains, Sightings, find_chains, kinds_of, supported
 from vtrack_batch.detection.params import DetectionParams
 from vtrack_batch.model import homography
 from vtrack_batch.model.flags import DetectionFlag
@@ -23,6 +24,9 @@ from vtrack_batch.model.homography import Array
 
 _CELL_M = 0.5
 _MANY_CHAINS = 40
+_PLACES_A_LINK = 12
+# Levels in L*a*b* by which grounds of one kind may differ in hue: asphalt in shade and sun, concrete, gravel.
+_SAME_HUE, _SAME_SHARE = 10.0, 0.75
 # How much of a vehicle's half length must lie on the road.
 _SPAN = 0.75
 
@@ -51,6 +55,17 @@ class Place:
         on[inside] = self.road[cell[inside, 1], cell[inside, 0]]
         return on
 
+    def on_grid(self, x_m: NDArray[Any], y_m: NDArray[Any]) -> NDArray[np.bool_]:
+        """Return which points (rows, columns) of a grid at *y_m* (rows,) and *x_m* (columns,) lie on the road."""
+        row, column = (
+            np.floor((own - first) / _CELL_M).astype(int)
+            for own, first in ((y_m, self.origin_m[1]), (x_m, self.origin_m[0]))
+        )
+        down, across = (row >= 0) & (row < self.road.shape[0]), (column >= 0) & (column < self.road.shape[1])
+        on = np.zeros((len(row), len(column)), np.bool_)
+        on[np.ix_(down, across)] = self.road[np.ix_(row[down], column[across])]
+        return on
+
 
 def learn_place(
     candidates: Sequence[Candidates],
@@ -59,27 +74,50 @@ def learn_place(
     *,
     metres_per_px: tuple[float, float],
     params: DetectionParams,
+    ground: NDArray[np.uint8] | None = None,
 ) -> Place:
     """Learn the road from the strict candidates of all frames of a block.
 
-    *poses* take each frame's px to the reference's, *times_s* (n,) are seconds from any start. With fewer than
-    ``fewest_chains`` chains the place counts as not learned.
+    *poses* take each frame's px to the reference's, *times_s* (n,) are seconds from any start; *ground* (H, W, 3 or
+    more) uint8 is the picture of the reference without traffic, for chains over roofs are told by its hue. With fewer
+    than ``fewest_chains`` chains the place counts as not learned.
     """
     strict = [np.nonzero(found.score >= params.chain_score)[0] for found in candidates]
     seen = [
         _sightings(f.take(rows), pose, metres_per_px) for f, rows, pose in zip(candidates, strict, poses, strict=True)
     ]
     times = np.asarray(times_s, float)
-    kinds = ((params.chain_links, params.chain_speed_mps), (params.slow_chain_links, params.slow_chain_speed_mps))
-    chains = [find_chains(seen, times, links=links, least_mps=least, params=params) for links, least in kinds]
+    kinds = kinds_of(times, params)
+    chains = [find_chains(seen, times, kind, params=params) for kind in kinds]
+    if ground is not None:
+        chains = _of_one_hue(chains, ground, metres_per_px)
     chains = supported(chains, seen, times, params=params)
+    loose = sum(len(chain.rows) for chain, kind in zip(chains, kinds, strict=True) if kind.loose)
     members = [np.unique(np.concatenate([kind.rows[kind.frames == i] for kind in chains])) for i in range(len(seen))]
     chained = tuple(rows[chosen] for rows, chosen in zip(strict, members, strict=True))
     if sum(len(kind.rows) for kind in chains) < params.fewest_chains:
         return Place(np.zeros((1, 1), np.bool_), np.zeros(2), metres_per_px, False, True, chained)
-    road, origin = _draw(chains, len(seen), params)
+    road, origin = _draw(chains, len(seen), 1 if loose < _MANY_CHAINS else 2, params)
     place = Place(road, origin, metres_per_px, True, False, chained)
     return replace(place, trusted_elsewhere=_is_tidy(place, candidates, poses, params))
+
+
+def _of_one_hue(kinds: Sequence[Chains], ground: NDArray[np.uint8], metres_per_px: tuple[float, float]) -> list[Chains]:
+    """Return the chains over ground of the hue that most chains run over, however lit: the others are over roofs."""
+    if not sum(len(kind.lines) for kind in kinds):
+        return list(kinds)
+    part = np.linspace(0, 1, _PLACES_A_LINK, endpoint=False)[:, None]
+    last = np.array(ground.shape[1::-1]) - 1
+    found = []
+    for kind in kinds:
+        start, end = kind.lines[:, :-1, None], kind.lines[:, 1:, None]
+        points = np.clip(np.rint((start + part * (end - start)) / metres_per_px).astype(int), 0, last)
+        levels = ground[points[..., 1], points[..., 0], :3].reshape(len(points), points.shape[1] * points.shape[2], 3)
+        lab = cv2.cvtColor(levels, cv2.COLOR_RGB2LAB) if levels.size else levels
+        found.append(lab[:, :, 1:].astype(np.float64))
+    usual = np.median(np.concatenate([np.median(hues, axis=1) for hues in found]), axis=0)
+    alike = [np.linalg.norm(hues - usual, axis=2) <= _SAME_HUE for hues in found]
+    return [kind.take(same.mean(axis=1) >= _SAME_SHARE) for kind, same in zip(kinds, alike, strict=True)]
 
 
 def _is_tidy(place: Place, candidates: Sequence[Candidates], poses: Sequence[Array], params: DetectionParams) -> bool:
@@ -133,15 +171,18 @@ def _fronts_m(candidates: Candidates, pose: Array, metres_per_px: tuple[float, f
 def _sightings(candidates: Candidates, pose: Array, metres_per_px: tuple[float, float]) -> Sightings:
     centre = np.stack([candidates.col_px, candidates.row_px], axis=1)
     axis = _fronts_m(candidates, pose, metres_per_px)
-    axis /= np.maximum(np.linalg.norm(axis, axis=1), 1e-9)[:, None]
+    half_length = np.maximum(np.linalg.norm(axis, axis=1), 1e-9)
+    axis /= half_length[:, None]
     colour = np.stack([candidates.red, candidates.green, candidates.blue], axis=1)
-    return Sightings(homography.apply(pose, centre) * metres_per_px, axis, colour)
+    return Sightings(homography.apply(pose, centre) * metres_per_px, axis, 2 * half_length, colour)
 
 
-def _draw(kinds: Sequence[Chains], frames: int, params: DetectionParams) -> tuple[NDArray[np.bool_], Array]:
-    """Return the road as cells, and the corner of the first: all chains, as wide as a lane and a bit.
+def _draw(
+    kinds: Sequence[Chains], frames: int, needed: int, params: DetectionParams
+) -> tuple[NDArray[np.bool_], Array]:
+    """Return the road as cells, and the corner of the first: chains, as wide as a lane and a bit.
 
-    Where there are many chains, two that begin at different frames are needed.
+    At every place chains that begin at so many different frames as *needed*.
     """
     lines = [_extended(kind.lines, params.road_ahead_m) for kind in kinds]
     everything = np.concatenate([line.reshape(-1, 2) for line in lines])
@@ -155,7 +196,6 @@ def _draw(kinds: Sequence[Chains], frames: int, params: DetectionParams) -> tupl
             points = np.rint((line[kind.frames[:, 0] == frame] - origin) / _CELL_M - 0.5).astype(np.int32)
             cv2.polylines(drawn, list(points), False, 1, thickness=width)
         count = cv2.add(count, drawn)
-    needed = 1 if sum(map(len, lines)) < _MANY_CHAINS else 2
     return count >= needed, origin
 
 

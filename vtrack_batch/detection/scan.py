@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vtrack_batch.detection.appearance import CELL, LONG, REACH_PX, STEP_M, WIDE, Appearance, channels_of
+from vtrack_batch.detection.appearance import CELL, CHANNELS, LONG, REACH_PX, STEP_M, Appearance, channels_of
 
 Floats = NDArray[np.float64]
 
@@ -33,16 +33,22 @@ def scan(
     """
     at = np.argwhere(near)[:, ::-1] * near_cell_m + near_cell_m / 2
     found = [(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))]
-    if len(at):
-        for angle in np.pi * np.arange(DIRECTIONS) / DIRECTIONS:
-            axis = np.array([np.cos(angle), np.sin(angle)])
-            turn = np.array([axis, [-axis[1], axis[0]]])
-            for corner in _tiles(at @ turn.T):
-                xy_m, scores = _peaks(picture, turn, corner, px_per_m, looks, least)
+    upright = Appearance(looks.weights[[1, 0, *range(2, CHANNELS)]].transpose(0, 2, 1)[:, :, ::-1], looks.offset)
+    for angle in np.pi * np.arange(DIRECTIONS // 2) / DIRECTIONS if len(at) else ():
+        axis = np.array([np.cos(angle), np.sin(angle)])
+        turn = np.array([axis, [-axis[1], axis[0]]])
+        for corner in _tiles(at @ turn.T):
+            cells = _drawn(picture, turn, corner, px_per_m)
+            # What is drawn along an axis is drawn across another.
+            for along, own in zip(turn, (looks, upright), strict=True):
+                turned_m, scores = _peaks(cells, corner, own, least)
+                xy_m = turned_m @ turn
                 cell = np.floor(xy_m / near_cell_m).astype(int)
                 inside = np.asarray((cell >= 0).all(axis=1) & (cell < near.shape[::-1]).all(axis=1))
                 inside[inside] = near[cell[inside, 1], cell[inside, 0]]
-                found.append((xy_m[inside] * px_per_m - 0.5, np.broadcast_to(axis, xy_m.shape)[inside], scores[inside]))
+                found.append(
+                    (xy_m[inside] * px_per_m - 0.5, np.broadcast_to(along, xy_m.shape)[inside], scores[inside])
+                )
     places, axes, scores = (np.concatenate(part) for part in zip(*found, strict=True))
     return places, axes, scores
 
@@ -50,18 +56,17 @@ def scan(
 def _tiles(turned_m: Floats) -> Iterator[Floats]:
     """Yield the corners, in turned metres, of the tiles that hold any of the points *turned_m* (n, 2)."""
     side = _TILE_CELLS * CELL * STEP_M
-    yield from np.unique(np.floor(turned_m / side), axis=0) * side
+    tile = np.floor(turned_m / side).astype(np.int64)
+    first = tile.min(axis=0)
+    held = np.zeros(tile.max(axis=0) - first + 1, np.bool_)
+    held[*(tile - first).T] = True
+    yield from (np.argwhere(held) + first) * side
 
 
-def _peaks(
-    picture: NDArray[np.uint8],
-    turn: Floats,
-    corner: Floats,
-    px_per_m: tuple[float, float],
-    looks: Appearance,
-    least: float,
-) -> tuple[Floats, Floats]:
-    """Return places (n, 2) in metres and scores (n,) of the peaks of one tile, drawn with the axis along its rows."""
+def _drawn(
+    picture: NDArray[np.uint8], turn: Floats, corner: Floats, px_per_m: tuple[float, float]
+) -> NDArray[np.float32]:
+    """Return what the cells of one tile show (channels, rows, columns), and some around it, drawn with *turn*."""
     cell_m, side = CELL * STEP_M, CELL * (_TILE_CELLS + 2 * _MARGIN_CELLS)
     first = corner - _MARGIN_CELLS * cell_m + STEP_M / 2
     scale = np.diag(px_per_m)
@@ -73,14 +78,19 @@ def _peaks(
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_REFLECT,
     )
-    cells = channels_of(np.asarray(drawn, np.uint8))
+    return channels_of(np.asarray(drawn, np.uint8))
+
+
+def _peaks(cells: NDArray[np.float32], corner: Floats, looks: Appearance, least: float) -> tuple[Floats, Floats]:
+    """Return places (n, 2) in turned metres and scores (n,) of the peaks of one tile."""
+    high, wide = looks.weights.shape[1:]
     total = np.full(cells.shape[1:], looks.offset, np.float32)
     for channel, weights in zip(cells, looks.weights, strict=True):
-        total += cv2.filter2D(channel, cv2.CV_32F, weights, anchor=(LONG // 2, WIDE // 2))
+        total += cv2.filter2D(channel, cv2.CV_32F, np.ascontiguousarray(weights), anchor=(wide // 2, high // 2))
     inner = slice(_MARGIN_CELLS, -_MARGIN_CELLS)
     best = (total >= cv2.dilate(total, np.ones((3, 3), np.uint8))) & (total >= least)
     at = np.argwhere(best[inner, inner])
     scores = total[inner, inner][at[:, 0], at[:, 1]].astype(np.float64)
     # a window of an even number of cells is centred between two
-    turned = corner + (at[:, ::-1] + np.array([0.5 - (LONG % 2 == 0) * 0.5, 0.5])) * cell_m
-    return turned @ turn, scores
+    middle = 0.5 - 0.5 * (np.array([wide, high]) % 2 == 0)
+    return corner + (at[:, ::-1] + middle) * CELL * STEP_M, scores

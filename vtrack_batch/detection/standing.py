@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
@@ -22,6 +21,7 @@ from vtrack_batch.detection.examples import Examples
 from vtrack_batch.detection.overlaps import stand_alone
 from vtrack_batch.detection.params import DetectionParams
 from vtrack_batch.detection.place import Place
+from vtrack_batch.detection.plausible import Driven, driven_over, levels, plausible
 from vtrack_batch.detection.scan import scan
 from vtrack_batch.model import homography
 from vtrack_batch.model.flags import DetectionFlag
@@ -32,10 +32,6 @@ _OTHERS = 4000
 _SURE = 0.75
 _DOUBTFUL = 0.15
 _KEEP_CLEAR_M = 2.6
-_DRIVEN_OVER = 2  # frames: once may be a mistake
-_SAME_HUE, _PAVED_SHARE, _SHADED_SHARE = 6.0, 0.6, 0.6
-_WAY_SHARE = 0.01  # of the road's ground: patches with less of it are no part of it
-_RING = np.array([k for k in range(81) if max(abs(k // 9 - 4), abs(k % 9 - 4)) == 4])
 _SPREAD = np.array([0.7548776662466927, 0.5698402909980532, 0.3247179572447460])
 
 
@@ -60,15 +56,15 @@ def find_standing(
     background: Background,
     examples: Examples,
     place: Place,
-    driven: Sequence[Array],
+    driven: Sequence[Driven],
     *,
     metres_per_px: tuple[float, float],
     params: DetectionParams,
 ) -> Standing:
     """Find the vehicles that stand on or near the road in the picture of the *background*.
 
-    *driven* are the boxes (m, 6) of moving vehicles in every frame, in reference px: nothing stands where they drive.
-    Nothing is found where no road was learned, or from fewer than ``fewest_examples``.
+    *driven* tells of every frame, in order of time, what is seen in it: nothing stands where others drive. Nothing is
+    found where no road was learned, or from fewer than ``fewest_examples``.
     """
     looks, sizes = examples.moving(place)
     if not (params.standing and place.learned) or len(looks) < params.fewest_examples:
@@ -92,19 +88,18 @@ def find_standing(
         again = np.repeat(windows[sure], max(1, len(looks) // int(sure.sum())), axis=0)
         second = learn_appearance(np.concatenate([looks, again]), others[clear])
         score = second.score(windows)
-    good = score >= params.standing_score
-    good &= _plausible(background, picture, place, _boxes(at, along, size, px_per_m), px_per_m)
-    at, along, score = at[good], along[good], score[good]
     boxes = _boxes(at, along, size, px_per_m)
+    good = (score >= params.standing_score) & plausible(background, picture, place, boxes, score, px_per_m)
+    boxes, score = boxes[good], score[good]
     alone = stand_alone(boxes, score, px_per_m)
     found = _measured(background, boxes[alone], score[alone], steps)
-    return found.take(_times_covered(found.boxes[:, :2], driven) < _DRIVEN_OVER)
+    return found.take(~driven_over(found.boxes, driven, (1 / metres_per_px[0], 1 / metres_per_px[1])))
 
 
-def moving_boxes(candidates: Sequence[Candidates], poses: Sequence[Array], place: Place) -> list[Array]:
-    """Return the boxes (m, 6) in reference px of those *candidates* of every frame that belong to chains of *place*."""
+def moving_boxes(candidates: Sequence[Candidates], poses: Sequence[Array], place: Place) -> list[Driven]:
+    """Return of every frame the boxes of its *candidates*, and which of them belong to chains of *place*."""
     return [
-        _moved(_boxes_of(found.take(rows)), pose)
+        Driven(_moved(_boxes_of(found), pose), rows)
         for found, pose, rows in zip(candidates, poses, place.chained, strict=True)
     ]
 
@@ -145,8 +140,7 @@ def _near_road(
 ) -> NDArray[np.bool_]:
     """Return the cells of _CELL_M, from the picture's corner on, that lie within *reach_m* of the road."""
     rows, columns = (int(np.ceil(shape[k] / px_per_m[1 - k] / _CELL_M)) for k in range(2))
-    y, x = (np.mgrid[:rows, :columns] + 0.5) * _CELL_M
-    road = place.on_road(np.stack([x.ravel(), y.ravel()], axis=1)).reshape(rows, columns)
+    road = place.on_grid((np.arange(columns) + 0.5) * _CELL_M, (np.arange(rows) + 0.5) * _CELL_M)
     if not road.any():
         return road
     away = cv2.distanceTransform((~road).astype(np.uint8), cv2.DIST_L2, 5) * _CELL_M
@@ -175,63 +169,17 @@ def _boxes(at: Array, along: Array, size: Array, px_per_m: tuple[float, float]) 
     return np.concatenate([at, along * (size[0] / 2) * px_per_m, across * (size[1] / 2) * px_per_m], axis=1)
 
 
-def _plausible(
-    background: Background, picture: NDArray[np.uint8], place: Place, boxes: Array, px_per_m: tuple[float, float]
-) -> NDArray[np.bool_]:
-    """Return which *boxes* are no shadows, and ground of the road's hue around leads to it: no lawns, no roofs."""
-    hues = np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2LAB)[:, :, 1:], np.uint8)
-    rows, columns = np.mgrid[1 : picture.shape[0] : 4, 1 : picture.shape[1] : 4].reshape(2, -1)
-    road = place.on_road((np.stack([columns, rows], axis=1) + 0.5) / px_per_m)
-    if not road.any():
-        return np.zeros(len(boxes), np.bool_)
-    hue, colour = (np.median(part[rows[road], columns[road]], axis=0) for part in (hues, picture))
-    alike = np.linalg.norm(hues - hue, axis=2) <= _SAME_HUE
-    joined = np.asarray(cv2.connectedComponents(alike.astype(np.uint8), connectivity=4)[1])
-    ways = np.bincount(joined[rows[road], columns[road]], minlength=int(joined.max()) + 1) >= _WAY_SHARE * road.sum()
-    ways[0] = False
-    paved = _levels(ways[joined][:, :, None], boxes, 1.6)[:, _RING, 0].mean(axis=1) >= _PAVED_SHARE
-    if background.shadows.ratio is None:
-        return np.asarray(paved)
-    ratio = (_levels(picture, boxes, 0.8) + 2) / (colour + 2)
-    band = background.shadows.band
-    shaded = ((ratio >= band[:, 0]) & (ratio <= band[:, 1])).all(axis=2)
-    return np.asarray(paved & (shaded.mean(axis=1) < _SHADED_SHARE))
-
-
-def _times_covered(points: Array, driven: Sequence[Array]) -> NDArray[np.int64]:
-    """Return in how many frames each of *points* (n, 2) lies in one of the frame's boxes."""
-    times = np.zeros(len(points), np.int64)
-    for boxes in driven:
-        away = points[:, None] - boxes[None, :, :2]
-        shares = [
-            np.abs((away * boxes[:, k : k + 2]).sum(axis=2)) / np.maximum((boxes[:, k : k + 2] ** 2).sum(axis=1), 1e-9)
-            for k in (2, 4)
-        ]
-        times += (np.maximum(*shares) <= 1).any(axis=1)
-    return times
-
-
 def _measured(background: Background, boxes: Array, score: Array, steps: tuple[int, int]) -> Standing:
     """Take colour and contrast of *boxes*, in px of the reduced picture, and bring them to px of the reference."""
     picture = background.ground(*steps)[:, :, :3]
-    inside = _levels(picture, boxes, 0.7)
-    around = _levels(picture, boxes, 1.6)
+    inside = levels(picture, boxes, 0.7)
+    around = levels(picture, boxes, 1.6)
     colour = np.median(inside, axis=1)
     contrast = np.abs(inside - np.median(around, axis=1)[:, None]).max(axis=2).mean(axis=1)
     scale = np.array(steps, float)
     boxes = boxes * np.tile(scale, 3)
     boxes[:, :2] += (scale - 1) / 2
     return Standing(boxes, colour, contrast, score)
-
-
-def _levels(picture: NDArray[Any], boxes: Array, reach: float) -> Array:
-    """Return the levels (n, points, channels) of *picture* at points spread over boxes of *reach* times their size."""
-    side = (np.arange(9) - 4) / 4 * reach
-    along, across = (part.ravel() for part in np.meshgrid(side, side))
-    at = boxes[:, None, :2] + along[:, None] * boxes[:, None, 2:4] + across[:, None] * boxes[:, None, 4:6]
-    last = np.array(picture.shape[1::-1]) - 1
-    column, row = np.moveaxis(np.clip(np.rint(at), 0, last).astype(int), 2, 0)
-    return np.asarray(picture[row, column].astype(np.float64))
 
 
 # in a frame -----------------------------------------------------------------------------------------------------------

@@ -22,11 +22,13 @@ from vtrack_batch.registration.reference import prepare_reference
 
 @dataclass
 class Block:
-    """The frames of a unit that share one reference and one background, and where the reference lies on the ground.
+    """Frames that share one reference and one background, and where the reference lies on the ground.
 
-    ``size`` = width and height in px of every frame; ``pixels`` of the reference, until they are handed over.
+    ``unit`` holds these frames and their halo; ``size`` = width and height in px of every frame; ``pixels`` of the
+    reference, until they are handed over.
     """
 
+    unit: Unit
     ref: FrameRef
     size: tuple[int, int]
     fix: GroundFix
@@ -40,17 +42,20 @@ class Block:
         return pixels
 
 
-def find_block(unit: Unit, reader: Reader, context: Context) -> Block | None:
-    """Return the unit's block, or None, with the reason logged, where there is no way from its frames to the ground."""
+def find_block(unit: Unit, reader: Reader, context: Context, former: Block | None = None) -> Block | None:
+    """Return the block of all frames of *unit*, or None, with the reason logged, where none leads to the ground.
+
+    A block that does not show the site is joined to the *former* one, whose last frames show what its first ones show.
+    """
     try:
-        return _joined_block(unit, reader, context)
+        return _joined_block(unit, reader, context, former)
     except UnusableFrame as problem:
-        reader.log.refuse_all(problem)
+        reader.log.refuse_all(unit.frames, problem)
         return None
 
 
-def _joined_block(unit: Unit, reader: Reader, context: Context) -> Block | None:
-    """Choose the unit's middle readable frame as reference; without tags of its own it is joined to the site frame."""
+def _joined_block(unit: Unit, reader: Reader, context: Context, former: Block | None) -> Block | None:
+    """Choose the middle readable frame as reference; without tags of its own it is joined to the site frame."""
     site = _first_readable(unit.site, reader)
     middle = len(unit.frames) // 2
     by_nearness = sorted(range(len(unit.frames)), key=lambda i: (abs(i - middle), i))
@@ -65,11 +70,14 @@ def _joined_block(unit: Unit, reader: Reader, context: Context) -> Block | None:
     fix = _fix(ref, pixels, reader, context)
     if fix.method not in ("geotiff", "world_file") and ref.frame_id != site_ref.frame_id:
         joined = _join(pixels, site_pixels, _fix(site_ref, site_pixels, reader, context), context.survey)
+        if joined is None and former is not None:
+            joined = _join_to_former(pixels, unit, former, reader, context.survey)
         if joined is None:
-            raise UnusableFrame("not_joined", f"its block's reference {ref.path} does not fit {site_ref.path}")
+            detail = f"its block's reference {ref.path} fits neither {site_ref.path} nor the block before it"
+            raise UnusableFrame("not_joined", f"{detail}; does a flight go on over the border of execution.unit_s?")
         fix = joined
     size = (pixels.shape[1], pixels.shape[0])
-    return Block(ref, size, fix, scale_at(fix.reference_to_ground, *size), pixels)
+    return Block(unit, ref, size, fix, scale_at(fix.reference_to_ground, *size), pixels)
 
 
 def _first_readable(refs: Sequence[FrameRef], reader: Reader) -> tuple[FrameRef, NDArray[np.uint8]] | None:
@@ -106,7 +114,29 @@ def _join(
         if not pose.accepted:
             return None
         to_site = np.asarray(np.linalg.inv(pose.frame_to_reference), np.float64)
-    to_ground = homography.normalised(fix.reference_to_ground @ to_site)
-    metres = float(np.mean(fix.gsd_m)) * pose.residual_px
-    residual_m = float(np.hypot(fix.residual_m or 0.0, metres))
+    return _moved(fix, to_site, pose.residual_px)
+
+
+def _join_to_former(
+    pixels: NDArray[np.uint8], unit: Unit, former: Block, reader: Reader, survey: Survey
+) -> GroundFix | None:
+    """Return where the reference of *unit* lies on the ground, by a frame between it and the *former* block's."""
+    params, former_pixels = survey.registration, reader.pixels(former.ref, former.size)
+    assert former_pixels is not None, "a block's reference was read before"
+    here, there = prepare_reference(pixels, params=params), prepare_reference(former_pixels, params=params)
+    for ref in (former.unit.frames[-1], unit.frames[0], former.unit.frames[-2], unit.frames[1]):
+        between = reader.pixels(ref, former.size)
+        if between is None:
+            continue
+        to_here, to_there = (register(between, reference, params=params) for reference in (here, there))
+        if to_here.accepted and to_there.accepted:
+            to_former = to_there.frame_to_reference @ np.linalg.inv(to_here.frame_to_reference)
+            return _moved(former.fix, to_former, float(np.hypot(to_here.residual_px, to_there.residual_px)))
+    return None
+
+
+def _moved(fix: GroundFix, to_fixed: homography.Array, residual_px: float) -> GroundFix:
+    """Return the fix of a frame that lies *to_fixed* (3, 3) on a frame with a known *fix*."""
+    to_ground = homography.normalised(fix.reference_to_ground @ to_fixed)
+    residual_m = float(np.hypot(fix.residual_m or 0.0, float(np.mean(fix.gsd_m)) * residual_px))
     return GroundFix(to_ground, fix.method, residual_m, fix.crs, fix.gsd_m)

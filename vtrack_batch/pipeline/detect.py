@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,18 +27,19 @@ from vtrack_batch.model.ground_grid import GroundGrid
 from vtrack_batch.model.homography import Array
 from vtrack_batch.model.ids import detection_id
 from vtrack_batch.model.tables import TABLES
-from vtrack_batch.pipeline.block import Block, find_block
+from vtrack_batch.pipeline.block import Block
+from vtrack_batch.pipeline.blocks import find_blocks
 from vtrack_batch.pipeline.ground import mosaic_gsd_m
 from vtrack_batch.pipeline.inject import Detected, Seen, inject
 from vtrack_batch.pipeline.laying import Laid, References, lay_samples
 from vtrack_batch.pipeline.parts import Context, matrix_columns, write
-from vtrack_batch.pipeline.plan import FrameRef, Piece, Unit
+from vtrack_batch.pipeline.plan import FrameRef, Piece
 from vtrack_batch.pipeline.reading import FrameLog, Reader
 from vtrack_batch.pipeline.samples import sample_store, seconds
 from vtrack_batch.registration.alignment import Registration, register
 from vtrack_batch.registration.bending import Bend
 from vtrack_batch.registration.reference import prepare_reference
-from vtrack_batch.storage.geotiff import write_geotiff
+from vtrack_batch.storage.geotiff import merge_geotiffs, write_geotiff
 from vtrack_batch.storage.parquet import empty_frame, write_table
 
 
@@ -51,29 +52,54 @@ def detect_unit(piece: Piece, context: Context) -> None:
     reader = Reader(context.archive, context.survey.archive.max_pixels, log, context.take)
     about: dict[str, Any] = {}
     with context.new_part(piece, about) as folder:
-        block = find_block(unit, reader, context)
-        detections = empty_frame(TABLES["detections"])
-        if block is not None:
-            background, references = _first_pass(unit, block, reader, context.survey, folder)
-            detected = _second_pass(unit, block, background, references, reader, context.survey)
-            detections = _detections(unit, detected)
-            _write_ground(folder, block, background, context.survey)
-            if context.survey.completeness.injections_per_unit:
-                _write_injections(folder, unit, detected, references, reader, context.survey)
-        _write(folder, log, block, detections)
+        done = [_detect_block(block, reader, context, folder) for block in find_blocks(unit, reader, context)]
+        _join_pictures(folder, done)
+        if context.survey.completeness.injections_per_unit and done:
+            painted = pd.concat([of.injections for of in done], ignore_index=True)
+            write_table(folder / f"{INJECTIONS.name}.parquet", INJECTIONS, painted)
+        _write(folder, log, done)
         about |= log.counts()
 
 
-def _first_pass(
-    unit: Unit, block: Block, reader: Reader, survey: Survey, folder: Path
-) -> tuple[Background, References]:
-    """Learn the background from frames spread over the unit and its halo, and which patches hold still.
+@dataclass(frozen=True)
+class Done:
+    """What became of a block: its detections, what came back of painted vehicles, and the picture of its ground."""
+
+    block: Block
+    detections: pd.DataFrame
+    injections: pd.DataFrame | None
+    ground: Path
+
+
+def _detect_block(block: Block, reader: Reader, context: Context, folder: Path) -> Done:
+    survey = context.survey
+    background, references = _first_pass(block, reader, survey, folder)
+    detected = _second_pass(block, background, references, reader, survey)
+    ground = _write_ground(folder, block, background, survey)
+    wanted = survey.completeness.injections_per_unit > 0
+    painted = _injections(folder, detected, references, reader, survey) if wanted else None
+    return Done(block, _detections(detected), painted, ground)
+
+
+def _join_pictures(folder: Path, done: list[Done]) -> None:
+    """Make one picture of the ground of all blocks."""
+    pictures = [of.ground for of in done]
+    if len(pictures) > 1:
+        merge_geotiffs(pictures, folder / "ground.tif")
+        for picture in pictures:
+            picture.unlink()
+    elif pictures:
+        pictures[0].rename(folder / "ground.tif")
+
+
+def _first_pass(block: Block, reader: Reader, survey: Survey, folder: Path) -> tuple[Background, References]:
+    """Learn the background from frames spread over the block and its halo, and which patches hold still.
 
     Samples that memory should not hold wait in a file in *folder* without a name.
     """
     reference = block.hand_over()
     rough = prepare_reference(reference, params=survey.registration)
-    chosen = _spread(unit, block.ref, survey.background.samples - 1)
+    chosen = _spread(block, survey.background.samples - 1)
     with sample_store(folder, (len(chosen) + 1) * reference.nbytes) as keep:
         kept, laid, taken_s = [keep(reference)], list[Registration](), [seconds(block.ref)]
         del reference
@@ -92,14 +118,14 @@ def _first_pass(
     return background, references
 
 
-def _spread(unit: Unit, reference: FrameRef, count: int) -> list[FrameRef]:
-    """Return up to *count* frames of the unit and its halo, evenly spread in order of time, without the reference.
+def _spread(block: Block, count: int) -> list[FrameRef]:
+    """Return up to *count* frames of the block and its halo, evenly spread in order of time, without the reference.
 
     A camera that is frozen repeats itself: of frames with one content the first alone has a say.
     """
-    pool = sorted((*unit.frames, *unit.halo), key=lambda ref: (ref.t_utc, ref.frame_id))
+    pool = sorted((*block.unit.frames, *block.unit.halo), key=lambda ref: (ref.t_utc, ref.frame_id))
     first = {ref.sha256: ref for ref in reversed(pool)}
-    pool = [ref for ref in pool if ref is first[ref.sha256] and ref.sha256 != reference.sha256]
+    pool = [ref for ref in pool if ref is first[ref.sha256] and ref.sha256 != block.ref.sha256]
     chosen: NDArray[np.int64] | list[int] = (
         np.unique(np.linspace(0, len(pool) - 1, min(count, len(pool))).round().astype(int)) if pool else []
     )
@@ -107,19 +133,27 @@ def _spread(unit: Unit, reference: FrameRef, count: int) -> list[FrameRef]:
 
 
 def _second_pass(
-    unit: Unit, block: Block, background: Background, references: References, reader: Reader, survey: Survey
+    block: Block, background: Background, references: References, reader: Reader, survey: Survey
 ) -> Detected:
     """Register every frame, find candidates, tell which of them fit the block's place model."""
-    examples = Examples.of(len(unit.frames))
+    examples = Examples.of(len(block.unit.frames))
     seen: list[tuple[FrameRef, Array, Bend | None, Candidates]] = []
-    for ref, laid, found in _candidates(unit, block, background, references, reader, survey):
+    for ref, laid, found in _candidates(block, background, references, reader, survey):
         examples.add(len(seen), laid.pixels, found, block.metres_per_px, survey.detection)
         seen.append((ref, laid.registration.frame_to_reference, laid.bend, found))
+        del laid  # a large frame, before the next one is read
     if not seen:
         return Detected(block, background, None, [])
     refs, poses, _, candidates = zip(*seen, strict=True)
     times_s = np.array([(ref.t_utc - refs[0].t_utc) / np.timedelta64(1, "s") for ref in refs])
-    place = learn_place(candidates, poses, times_s, metres_per_px=block.metres_per_px, params=survey.detection)
+    place = learn_place(
+        candidates,
+        poses,
+        times_s,
+        metres_per_px=block.metres_per_px,
+        params=survey.detection,
+        ground=background.levels,
+    )
     driven = moving_boxes(candidates, poses, place)
     standing = find_standing(
         background, examples, place, driven, metres_per_px=block.metres_per_px, params=survey.detection
@@ -132,19 +166,44 @@ def _second_pass(
     return Detected(block, background, place, frames)
 
 
-def _detections(unit: Unit, detected: Detected) -> pd.DataFrame:
-    """Return the detections of the unit."""
+def _detections(detected: Detected) -> pd.DataFrame:
+    """Return the detections of a block, frame by frame; ids rank by place, row then column."""
+    if not detected.frames:
+        return empty_frame(TABLES["detections"])
     to_ground = detected.block.fix.reference_to_ground
-    tables = [
-        _table(seen, unit.sequence, measure_on_ground(seen.vehicles, to_ground @ seen.pose)) for seen in detected.frames
-    ]
-    return pd.concat(tables, ignore_index=True) if tables else empty_frame(TABLES["detections"])
+    tables = [_measured(seen, to_ground) for seen in detected.frames]
+    counts = np.array([len(table) for table in tables])
+    found, frame = pd.concat(tables, ignore_index=True), np.repeat(np.arange(len(tables)), counts)
+    order = np.lexsort((found["col_px"], found["row_px"], frame))
+    rank = np.arange(len(frame)) - np.repeat(np.cumsum(counts) - counts, counts)
+    refs = [seen.ref for seen in detected.frames]
+    ids = [ref.frame_id for ref in refs]
+    return (
+        found.take(order)
+        .reset_index(drop=True)
+        .assign(
+            detection_id=[detection_id(ids[of], at) for of, at in zip(frame.tolist(), rank.tolist(), strict=True)],
+            frame_id=np.array(ids, object)[frame],
+            sequence=detected.block.unit.sequence,
+            t_utc=pd.DatetimeIndex(np.array([ref.t_utc for ref in refs]), tz="UTC")[frame],
+            vx_mps=np.nan,
+            vy_mps=np.nan,
+        )
+    )
+
+
+def _measured(seen: Seen, to_ground: Array) -> pd.DataFrame:
+    """Return one frame's measurements, places in the frame as it was taken."""
+    found, place = measure_on_ground(seen.vehicles, to_ground @ seen.pose), ["col_px", "row_px"]
+    if seen.bend is not None:
+        found[place] = seen.bend.to_frame(found[place].to_numpy())
+    return found
 
 
 def _candidates(
-    unit: Unit, block: Block, background: Background, references: References, reader: Reader, survey: Survey
+    block: Block, background: Background, references: References, reader: Reader, survey: Survey
 ) -> Iterator[tuple[FrameRef, Laid, Candidates]]:
-    for ref in unit.frames:
+    for ref in block.unit.frames:
         pixels = reader.pixels(ref, block.size)
         if pixels is None:
             continue
@@ -160,12 +219,12 @@ def _candidates(
         yield ref, laid, found
 
 
-def _write_injections(
-    folder: Path, unit: Unit, detected: Detected, references: References, reader: Reader, survey: Survey
-) -> None:
+def _injections(
+    folder: Path, detected: Detected, references: References, reader: Reader, survey: Survey
+) -> pd.DataFrame:
     """Paint known vehicles into the background's samples, count what comes back; the halo's are samples as they are."""
-    sampled = [detected.block.ref, *_spread(unit, detected.block.ref, survey.background.samples - 1)]
-    inside = {ref.frame_id for ref in unit.frames}
+    sampled = [detected.block.ref, *_spread(detected.block, survey.background.samples - 1)]
+    inside = {ref.frame_id for ref in detected.block.unit.frames}
 
     def halo() -> Iterator[Sample]:
         for ref in sampled:
@@ -174,38 +233,27 @@ def _write_injections(
             if laid is not None and laid.registration.accepted:
                 yield Sample(laid.pixels, laid.registration.frame_to_reference, seconds(ref))
 
-    rows = inject(detected, sampled, halo, reader, survey, folder)
-    write_table(folder / f"{INJECTIONS.name}.parquet", INJECTIONS, rows)
+    return inject(detected, sampled, halo, reader, survey, folder)
 
 
 # writing --------------------------------------------------------------------------------------------------------------
 
 
-def _table(seen: Seen, sequence: str, found: pd.DataFrame) -> pd.DataFrame:
-    """Complete one frame's measurements to rows of ``detections``; ids rank by place, row then column."""
-    ref, place = seen.ref, ["col_px", "row_px"]
-    if seen.bend is not None:
-        found[place] = seen.bend.to_frame(found[place].to_numpy())
-    found = found.sort_values(["row_px", "col_px"], kind="stable", ignore_index=True)
-    return found.assign(
-        detection_id=[detection_id(ref.frame_id, rank) for rank in range(len(found))],
-        frame_id=ref.frame_id,
-        sequence=sequence,
-        t_utc=pd.Timestamp(ref.t_utc, tz="UTC"),
-        vx_mps=np.nan,
-        vy_mps=np.nan,
-    )
-
-
-def _write(folder: Path, log: FrameLog, block: Block | None, detections: pd.DataFrame) -> None:
+def _write(folder: Path, log: FrameLog, done: list[Done]) -> None:
     tables = {
         "frames": _frames(log),
-        "registrations": _registrations(log, block),
-        "references": _references(block),
-        "detections": detections,
+        "registrations": _joined("registrations", [_registrations(log, of.block) for of in done]),
+        "references": _joined("references", [_references(of.block) for of in done]),
+        "detections": _joined("detections", [of.detections for of in done]),
         "quarantine": _quarantine(log),
     }
-    write(folder, tables, block.fix.crs if block else None)
+    write(folder, tables, done[0].block.fix.crs if done else None)
+
+
+def _joined(name: str, tables: list[pd.DataFrame]) -> pd.DataFrame:
+    """Return the rows of all blocks."""
+    filled = [table for table in tables if len(table)]
+    return pd.concat(filled, ignore_index=True) if filled else empty_frame(TABLES[name])
 
 
 def _frames(log: FrameLog) -> pd.DataFrame:
@@ -227,9 +275,9 @@ def _frames(log: FrameLog) -> pd.DataFrame:
     )
 
 
-def _registrations(log: FrameLog, block: Block | None) -> pd.DataFrame:
-    done = [(ref, log.pose[ref.frame_id]) for ref in log.unit.frames if ref.frame_id in log.pose]
-    if block is None or not done:
+def _registrations(log: FrameLog, block: Block) -> pd.DataFrame:
+    done = [(ref, log.pose[ref.frame_id]) for ref in block.unit.frames if ref.frame_id in log.pose]
+    if not done:
         return empty_frame(TABLES["registrations"])
     poses = [pose for _, pose in done]
     residual_px = np.array([pose.residual_px if np.isfinite(pose.residual_px) else np.nan for pose in poses])
@@ -246,9 +294,7 @@ def _registrations(log: FrameLog, block: Block | None) -> pd.DataFrame:
     )
 
 
-def _references(block: Block | None) -> pd.DataFrame:
-    if block is None:
-        return empty_frame(TABLES["references"])
+def _references(block: Block) -> pd.DataFrame:
     return pd.DataFrame(
         {
             "reference_frame_id": [block.ref.frame_id],
@@ -272,10 +318,12 @@ def _quarantine(log: FrameLog) -> pd.DataFrame:
     )
 
 
-def _write_ground(folder: Path, block: Block, background: Background, survey: Survey) -> None:
-    """Write the block's background as GeoTIFF at the set ground sampling distance."""
+def _write_ground(folder: Path, block: Block, background: Background, survey: Survey) -> Path:
+    """Write the block's background as GeoTIFF at the set ground sampling distance; return where."""
     corners_m = homography.apply(block.fix.reference_to_ground, homography.corners(*block.size))
     gsd_m = mosaic_gsd_m(survey, block.fix.gsd_m)
     grid = GroundGrid.covering(corners_m, gsd_m, crs=block.fix.crs)
     pixels, valid = orthorectify(background.pixels, block.fix.reference_to_ground, grid, seen=background.seen)
-    write_geotiff(folder / "ground.tif", pixels, valid, grid)
+    path = folder / f"ground-{block.ref.frame_id}.tif"
+    write_geotiff(path, pixels, valid, grid)
+    return path

@@ -18,6 +18,7 @@ from vtrack_batch.registration.reference import Reference
 from vtrack_batch.registration.steady import steady_patches
 
 _PICTURE_FRAMES = 31
+_PROBES = 8
 # Straightening must make the residual this much smaller before it is done.
 _PREFERENCE = 0.9
 
@@ -72,13 +73,38 @@ def lay_samples(
     plane_px = _typical_px(laid, settled, rough.centres_px, [None] * len(laid))
     if params.bend == "auto" and plane_px > params.bend_from_px:
         picture = common_picture(_spread(samples, poses))
-        bends = [find_bend(rows[:], pose, picture, params=params) for rows, pose in zip(samples, poses, strict=True)]
-        centres_px = bends[0].to_straight(rough.centres_px)
-        if _typical_px(laid, settled, centres_px, bends[1:]) < _PREFERENCE * plane_px:
+        bends = _bends(samples, poses, picture, laid, rough, params)
+        if bends:
             for number, bend in enumerate(bends):
                 samples[number] = keep(straighten(samples[number][:], bend))
             references = References(steady, rough, picture, bends[0])
     return list(map(Sample, samples, poses)), references
+
+
+def _bends(
+    samples: Sequence[Rows],
+    poses: Sequence[Array],
+    picture: NDArray[np.uint8],
+    laid: Sequence[Registration],
+    rough: Reference,
+    params: RegistrationParams,
+) -> list[Bend]:
+    """Return how each of *samples* bends, the reference's first; none where straightening makes too little better.
+
+    Some of them tell first whether it is worth while to look at all.
+    """
+    found: dict[int, Bend] = {}
+    for step in (max(1, len(laid) // _PROBES), 1):
+        others = range(1, len(samples), step)
+        for number in (0, *others):
+            if number not in found:
+                found[number] = find_bend(samples[number][:], poses[number], picture, params=params)
+        some, settled = [laid[number - 1] for number in others], [poses[number] for number in others]
+        centres_px = found[0].to_straight(rough.centres_px)
+        bent_px = _typical_px(some, settled, centres_px, [found[number] for number in others])
+        if bent_px >= _PREFERENCE * _typical_px(some, settled, rough.centres_px, [None] * len(some)):
+            return []
+    return [found[number] for number in range(len(samples))]
 
 
 def _typical_px(

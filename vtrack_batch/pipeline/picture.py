@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,16 +16,17 @@ from vtrack_batch.errors import UnusableFrame
 from vtrack_batch.pipeline.parts import Context, matrices_of, read
 from vtrack_batch.pipeline.plan import FrameRef, Piece
 from vtrack_batch.pipeline.publish import ON_PAGE
+from vtrack_batch.report.canvas import MAX_SIDE_PX
 from vtrack_batch.report.pictures import AnnotatedFrame, frame_strip, trajectory_map
 from vtrack_batch.report.summary import page_picture
-from vtrack_batch.storage.geotiff import merge_geotiffs
+from vtrack_batch.storage.geotiff import merge_geotiffs, read_reduced
 from vtrack_batch.traffic.zones import parse_zones
 
 STRIP_FRAMES = 4
 
 
 def draw_sequence(piece: Piece, context: Context) -> None:
-    """Draw the trajectories over the reference frame, a strip of annotated frames, and join the ground pictures."""
+    """Join the ground pictures, draw the trajectories over the ground, and a strip of annotated frames."""
     tracked, measured = piece.needs
     part, whole = context.part(tracked), context.part(measured)
     refs = {ref.frame_id: ref for need in tracked.needs if need.unit for ref in need.unit.frames}
@@ -35,21 +37,28 @@ def draw_sequence(piece: Piece, context: Context) -> None:
     trajectories = trajectories.loc[trajectories["sequence"].astype(str) == piece.name]
     points, references = read([part], "track_points"), read([part], "references")
     with context.new_part(piece, {}) as folder:
-        if len(references):
-            first = references.sort_values("reference_frame_id", ignore_index=True).iloc[:1]
-            pixels = _pixels(refs[first["reference_frame_id"].iloc[0]], context)
-            if pixels is not None:
-                title = f"{context.survey.survey.name}: {piece.name}"
-                to_ground = matrices_of("g", first)[0]
-                picture = trajectory_map(pixels, to_ground, points, trajectories, zones, title=title)
-                _keep(folder, "trajectories", picture)
-            strip = _strip(part_tables(part), points, refs, context)
-            if strip:
-                _keep(folder, "frames", frame_strip(strip))
         grounds = [context.part(need).file("ground.tif") for need in tracked.needs]
         merge_geotiffs([path for path in grounds if path.exists()], folder / "ground.tif")
+        backdrop = _backdrop(references, refs, folder / "ground.tif", context)
+        if backdrop is not None:
+            title = f"{context.survey.survey.name}: {piece.name}"
+            _keep(folder, "trajectories", trajectory_map(*backdrop, points, trajectories, zones, title=title))
+        del backdrop
+        strip = _strip(part_tables(part), points, refs, context)
+        if strip:
+            _keep(folder, "frames", frame_strip(strip))
         summary = {"trajectories": len(trajectories), "track_points": len(points)}
         (folder / "about.json").write_text(json.dumps(summary, sort_keys=True) + "\n")
+
+
+def _backdrop(
+    references: pd.DataFrame, refs: dict[str, FrameRef], mosaic: Path, context: Context
+) -> tuple[NDArray[np.uint8], NDArray[np.float64]] | None:
+    """Return what trajectories are drawn on, and where it lies: the only reference frame, else the ground mosaic."""
+    if len(references) != 1:
+        return read_reduced(mosaic, MAX_SIDE_PX) if mosaic.exists() else None
+    pixels = _pixels(refs[references["reference_frame_id"].iloc[0]], context)
+    return None if pixels is None else (pixels, matrices_of("g", references)[0])
 
 
 def _keep(folder: Path, name: str, picture: bytes) -> None:
@@ -75,9 +84,7 @@ def _strip(
     strip = []
     first = max(0, (len(used) - STRIP_FRAMES) // 2)
     for _, frame in used.iloc[first : first + STRIP_FRAMES].iterrows():
-        pixels = _pixels(refs[frame["frame_id"]], context)
-        if pixels is None:
-            continue
+        pixels = _Late(refs[frame["frame_id"]], context, (int(frame["height_px"]), int(frame["width_px"]), 3))
         pose = poses.loc[[frame["frame_id"]]]
         found = seen["detections"].loc[seen["detections"]["frame_id"] == frame["frame_id"]]
         found = found.assign(vehicle_id=found["detection_id"].map(vehicle))
@@ -85,6 +92,21 @@ def _strip(
             AnnotatedFrame(pixels, (matrices_of("g", pose) @ matrices_of("h", pose))[0], frame["t_utc"], found)
         )
     return strip
+
+
+@dataclass(frozen=True)
+class _Late:
+    """A frame whose pixels are read when a part is asked for: of large ones, one at a time; black where it vanished."""
+
+    ref: FrameRef
+    context: Context
+    shape: tuple[int, ...]
+
+    def __getitem__(self, part: tuple[slice, slice], /) -> NDArray[np.uint8]:
+        pixels = _pixels(self.ref, self.context)
+        if pixels is None or pixels.shape != self.shape:
+            pixels = np.zeros(self.shape, np.uint8)
+        return pixels[part].copy()
 
 
 def _pixels(ref: FrameRef, context: Context) -> NDArray[np.uint8] | None:

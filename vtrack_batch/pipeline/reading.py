@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -33,9 +33,9 @@ class FrameLog:
         refused = [self.refused[ref.frame_id].reason for ref in self.unit.frames if ref.frame_id in self.refused]
         return {"frames_used": len(self.unit.frames) - len(refused), "quarantined": dict(Counter(sorted(refused)))}
 
-    def refuse_all(self, problem: UnusableFrame) -> None:
-        """Note that no frame of the unit can be used, for want of a way to the ground."""
-        for ref in self.unit.frames:
+    def refuse_all(self, refs: Sequence[FrameRef], problem: UnusableFrame) -> None:
+        """Note that none of the frames can be used, for want of a way to the ground."""
+        for ref in refs:
             self.refuse(ref, problem)
 
     def refuse_repeats(self) -> None:

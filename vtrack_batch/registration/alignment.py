@@ -153,12 +153,12 @@ def _judged(
         sightings.frame_px,
         confirmed_share=float(confirmed[checked].mean()) if checked.any() else 0.0,
         coverage_share=float((shown * (vouched & (borne_out > 0))).sum() / max(1, shown.sum())),
-        overlap_share=_overlap_share(pose.matrix, plane_shape, reference),
+        overlap_share=overlap_share(pose.matrix, plane_shape, reference),
     )
 
 
-def _overlap_share(frame_to_reference: NDArray[np.float64], shape: tuple[int, ...], reference: Reference) -> float:
-    """Return the share of the reference frame that the frame of *shape* shows."""
+def overlap_share(frame_to_reference: NDArray[np.float64], shape: tuple[int, ...], reference: Reference) -> float:
+    """Return the share of the reference frame that a frame of *shape* (H, W, ...) at a pose (3, 3) shows."""
     shown = shapely.Polygon(homography.apply(frame_to_reference, homography.corners(shape[1], shape[0])))
     if not shown.is_valid:
         return 0.0

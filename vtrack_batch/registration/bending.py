@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from vtrack_batch.model import homography
 from vtrack_batch.model.homography import Array
+from vtrack_batch.model.ranks import take_ranks
 from vtrack_batch.registration.params import RegistrationParams
 from vtrack_batch.registration.pose import distances, robust_rms
 from vtrack_batch.registration.reduction import Grey, green_of, level_contrast, reduce, to_reduced
@@ -73,9 +74,11 @@ def common_picture(frames: Iterable[tuple[NDArray[np.uint8], Array]]) -> Grey:
         beside = looks[0] if looks else look
         looks.append(_laid(look, pose, beside.copy(), cv2.BORDER_TRANSPARENT))
     picture = np.empty_like(looks[0])
+    middle = (len(looks) - 1) // 2, len(looks) // 2
     for top in range(0, len(picture), _STRIP_ROWS):
         rows = slice(top, top + _STRIP_ROWS)
-        picture[rows] = np.median([look[rows] for look in looks], axis=0)
+        low, high = take_ranks(np.stack([look[rows] for look in looks]), middle)
+        picture[rows] = (low & high) + ((low ^ high) >> 1)  # their mean, in bytes
     return picture
 
 

@@ -46,6 +46,13 @@ class RegistrationParams(Params):
     min_overlap_share: float = Field(
         0.3, ge=0.0, le=1.0, description="smallest share of the reference frame that the frame must show"
     )
+    block_overlap_share: float = Field(
+        0.6,
+        ge=0.0,
+        le=1.0,
+        description="share of the first frame of a block that its other frames show: where the platform flies on, a "
+        "unit is cut into several blocks",
+    )
     bend: Literal["auto", "never"] = Field(
         "auto", description="whether frames are straightened where no plane pose fits them (auto), or never"
     )

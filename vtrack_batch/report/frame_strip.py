@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import cv2
 import numpy as np
@@ -21,15 +21,25 @@ _UNTRACKED = (255, 255, 255)
 _SUB_PIXEL_BITS = 4
 
 
+class Picture(Protocol):
+    """A frame (H, W, 3) uint8 RGB that gives rows and columns when sliced: an array, or one that is read only then."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Rows, columns, 3."""
+
+    def __getitem__(self, part: tuple[slice, slice], /) -> Pixels: ...
+
+
 @dataclass(frozen=True)
 class AnnotatedFrame:
     """A frame and what was found in it.
 
-    ``pixels`` (H, W, 3) uint8 RGB; ``frame_to_ground`` (3, 3), its pixels to ground metres; ``detections``: col_px,
+    ``pixels`` (H, W, 3); ``frame_to_ground`` (3, 3), its pixels to ground metres; ``detections``: col_px,
     row_px, length_m, width_m, heading_deg and vehicle_id (null = belongs to no track).
     """
 
-    pixels: Pixels
+    pixels: Picture
     frame_to_ground: NDArray[np.float64]
     t_utc: pd.Timestamp
     detections: pd.DataFrame
@@ -134,7 +144,7 @@ def _panel(frame: AnnotatedFrame, corners: NDArray[np.float64], window: _Window,
 
 def _captioned(picture: Pixels, frame: AnnotatedFrame, window: _Window) -> Pixels:
     caption = f"{frame.t_utc.strftime('%Y-%m-%d %H:%M:%S.%f')[:-4]} UTC   {len(frame.detections)} detections"
-    if picture.shape[1] > 500 and (window.width, window.height) != frame.pixels.shape[1::-1]:
+    if picture.shape[1] > 500 and (window.height, window.width) != frame.pixels.shape[:2]:
         caption += f" in the frame, of which columns {window.left}-{window.left + window.width - 1}"
         caption += f", rows {window.top}-{window.top + window.height - 1}"
     strip = np.full((_CAPTION_PX, picture.shape[1], 3), 32, np.uint8)

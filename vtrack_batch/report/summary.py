@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import base64
-import io
 from collections.abc import Mapping
 from html import escape
 from string import Template
 from typing import Any
 
+import cv2
 import numpy as np
 import pandas as pd
-from PIL import Image
 
 from vtrack_batch.report import sections
+from vtrack_batch.report.canvas import resized
 
 _PICTURE_WIDTH_PX, _PICTURE_QUALITY = 1600, 82
 _PAGE = Template("""<!doctype html>
@@ -70,14 +70,12 @@ def summary_page(manifest: Mapping[str, Any], tables: Mapping[str, pd.DataFrame]
 
 def page_picture(picture: bytes) -> bytes:
     """Return an image of any format as JPEG for the page, at most 1600 px wide."""
-    with Image.open(io.BytesIO(picture)) as image:
-        shown = image.convert("RGB")
-    if shown.width > _PICTURE_WIDTH_PX:
-        height = max(1, round(shown.height * _PICTURE_WIDTH_PX / shown.width))
-        shown = shown.resize((_PICTURE_WIDTH_PX, height), Image.Resampling.LANCZOS)
-    out = io.BytesIO()
-    Image.fromarray(np.asarray(shown)).save(out, "JPEG", quality=_PICTURE_QUALITY, optimize=True)
-    return out.getvalue()
+    shown = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
+    if shown is None:
+        raise ValueError("a picture for the page cannot be read")
+    pixels = resized(np.asarray(shown, np.uint8), min(1.0, _PICTURE_WIDTH_PX / shown.shape[1]))
+    how = [cv2.IMWRITE_JPEG_QUALITY, _PICTURE_QUALITY, cv2.IMWRITE_JPEG_OPTIMIZE, 1]
+    return cv2.imencode(".jpg", pixels, how)[1].tobytes()
 
 
 def _subtitle(manifest: Mapping[str, Any], tables: Mapping[str, pd.DataFrame], zone: str) -> str:

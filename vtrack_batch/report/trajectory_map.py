@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 import pandas as pd
 import shapely
@@ -122,10 +123,10 @@ def _view(width_px: int, height_px: int, points: pd.DataFrame) -> _View:
 
 def _draw_ground(axes: Axes, pixels: Pixels, view: _View) -> None:
     """Draw the frame grey and dark, so that colour means speed."""
-    small = resized(pixels, min(1.0, view.scale))
-    grey = small @ np.array([0.299, 0.587, 0.114])
+    grey = cv2.cvtColor(resized(pixels, min(1.0, view.scale)), cv2.COLOR_RGB2GRAY)
     low, high = np.percentile(grey, (1, 99)) if grey.size else (0.0, 1.0)
-    dimmed = np.clip(18 + 112 * (grey - low) / max(high - low, 1.0), 0, 130).astype(np.uint8)
+    shades = np.clip(18 + 112 * (np.arange(256) - low) / max(high - low, 1.0), 0, 130).astype(np.uint8)
+    dimmed = shades[grey]
     extent = (-0.5, pixels.shape[1] - 0.5, pixels.shape[0] - 0.5, -0.5)
     axes.imshow(dimmed, cmap="gray", vmin=0, vmax=255, extent=extent, interpolation="bilinear", aspect="auto")
 

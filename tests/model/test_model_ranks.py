@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vtrack_batch.background.ranks import comparators, take_ranks
+from vtrack_batch.model.ranks import comparators, take_ranks
 
 
 @settings(deadline=None, max_examples=60)
