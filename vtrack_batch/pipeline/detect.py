@@ -32,10 +32,11 @@ from vtrack_batch.pipeline.blocks import find_blocks
 from vtrack_batch.pipeline.ground import mosaic_gsd_m
 from vtrack_batch.pipeline.inject import Detected, Seen, inject
 from vtrack_batch.pipeline.laying import Laid, References, lay_samples
-from vtrack_batch.pipeline.parts import Context, matrix_columns, write
+from vtrack_batch.pipeline.parts import Context, write
 from vtrack_batch.pipeline.plan import FrameRef, Piece
 from vtrack_batch.pipeline.reading import FrameLog, Reader
 from vtrack_batch.pipeline.samples import sample_store, seconds
+from vtrack_batch.pipeline.unit_tables import unit_tables
 from vtrack_batch.registration.alignment import Registration, register
 from vtrack_batch.registration.bending import Bend
 from vtrack_batch.registration.reference import prepare_reference
@@ -57,7 +58,8 @@ def detect_unit(piece: Piece, context: Context) -> None:
         if context.survey.completeness.injections_per_unit and done:
             painted = pd.concat([of.injections for of in done], ignore_index=True)
             write_table(folder / f"{INJECTIONS.name}.parquet", INJECTIONS, painted)
-        _write(folder, log, done)
+        tables = unit_tables(log, [(of.block, of.detections) for of in done])
+        write(folder, tables, done[0].block.fix.crs if done else None)
         about |= log.counts()
 
 
@@ -234,88 +236,6 @@ def _injections(
                 yield Sample(laid.pixels, laid.registration.frame_to_reference, seconds(ref))
 
     return inject(detected, sampled, halo, reader, survey, folder)
-
-
-# writing --------------------------------------------------------------------------------------------------------------
-
-
-def _write(folder: Path, log: FrameLog, done: list[Done]) -> None:
-    tables = {
-        "frames": _frames(log),
-        "registrations": _joined("registrations", [_registrations(log, of.block) for of in done]),
-        "references": _joined("references", [_references(of.block) for of in done]),
-        "detections": _joined("detections", [of.detections for of in done]),
-        "quarantine": _quarantine(log),
-    }
-    write(folder, tables, done[0].block.fix.crs if done else None)
-
-
-def _joined(name: str, tables: list[pd.DataFrame]) -> pd.DataFrame:
-    """Return the rows of all blocks."""
-    filled = [table for table in tables if len(table)]
-    return pd.concat(filled, ignore_index=True) if filled else empty_frame(TABLES[name])
-
-
-def _frames(log: FrameLog) -> pd.DataFrame:
-    refs = log.unit.frames
-    sizes = [log.size.get(ref.frame_id, (None, None)) for ref in refs]
-    problems = [log.refused.get(ref.frame_id) for ref in refs]
-    return pd.DataFrame(
-        {
-            "frame_id": [ref.frame_id for ref in refs],
-            "sequence": log.unit.sequence,
-            "path": [ref.path for ref in refs],
-            "t_utc": pd.DatetimeIndex(np.array([ref.t_utc for ref in refs]), tz="UTC"),
-            "width_px": pd.array([width for width, _ in sizes], dtype="Int32"),
-            "height_px": pd.array([height for _, height in sizes], dtype="Int32"),
-            "sha256": [ref.sha256 for ref in refs],
-            "status": ["quarantined" if problem else "used" for problem in problems],
-            "reason": [problem.reason if problem else None for problem in problems],
-        }
-    )
-
-
-def _registrations(log: FrameLog, block: Block) -> pd.DataFrame:
-    done = [(ref, log.pose[ref.frame_id]) for ref in block.unit.frames if ref.frame_id in log.pose]
-    if not done:
-        return empty_frame(TABLES["registrations"])
-    poses = [pose for _, pose in done]
-    residual_px = np.array([pose.residual_px if np.isfinite(pose.residual_px) else np.nan for pose in poses])
-    return pd.DataFrame(
-        {
-            "frame_id": [ref.frame_id for ref, _ in done],
-            "reference_frame_id": block.ref.frame_id,
-            **matrix_columns("h", np.array([pose.frame_to_reference for pose in poses])),
-            "inliers": np.array([pose.inliers for pose in poses], "int32"),
-            "residual_px": residual_px,
-            "residual_m": residual_px * float(np.mean(block.metres_per_px)),
-            "accepted": [pose.accepted for pose in poses],
-        }
-    )
-
-
-def _references(block: Block) -> pd.DataFrame:
-    return pd.DataFrame(
-        {
-            "reference_frame_id": [block.ref.frame_id],
-            **matrix_columns("g", block.fix.reference_to_ground[None]),
-            "method": [block.fix.method],
-            "residual_m": [np.nan if block.fix.residual_m is None else block.fix.residual_m],
-            "crs": [block.fix.crs],
-        }
-    )
-
-
-def _quarantine(log: FrameLog) -> pd.DataFrame:
-    own = [(ref, log.refused[ref.frame_id]) for ref in log.unit.frames if ref.frame_id in log.refused]
-    return pd.DataFrame(
-        {
-            "path": [ref.path for ref, _ in own],
-            "reason": [problem.reason for _, problem in own],
-            "detail": [problem.detail or None for _, problem in own],
-        },
-        dtype=object,
-    )
 
 
 def _write_ground(folder: Path, block: Block, background: Background, survey: Survey) -> Path:
