@@ -179,7 +179,8 @@ def report(simulated: pd.DataFrame, filmed: pd.DataFrame, notes: list[tuple], fe
     lines = ["## Tracks", QUICK_TEXT + TEXT if few else TEXT]
     for source in (PINNED, OTHERS):
         of = simulated[simulated["source"] == source]
-        number = of.groupby(["scene", "interval_s", "missed"])["sequence"].nunique()
+        cells = ["scene", "interval_s", "missed"]
+        number = of.groupby([*cells, "method"])["sequence"].nunique().groupby(cells).max()
         lines.append(f"### {'Pinned sequences' if source == PINNED else 'Other seeds of the same scenes'}")
         if of.empty:
             lines.append("(none in this run)")
@@ -197,7 +198,8 @@ def report(simulated: pd.DataFrame, filmed: pd.DataFrame, notes: list[tuple], fe
 
 
 QUICK_TEXT = """\
-**QUICK: four of our methods, own sequences by the default alone, peers tuned on 36 s, with settings that need at most
+**QUICK: four of our methods, own sequences by the default with and without flow map, peers
+tuned on 36 s, with settings that need at most
 two seconds for it, and not run on the grid, where some need many minutes.** """
 TEXT = """\
 `vt.track` and the peers on whole sequences. IDF1: vehicles against tracks, one to one. End to end: share of vehicles

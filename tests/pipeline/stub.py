@@ -9,11 +9,11 @@ import numpy as np
 from PIL import Image
 
 from vtrack_batch.model.tables import TABLES
-from vtrack_batch.pipeline.detect import _frames, _quarantine
 from vtrack_batch.pipeline.parts import Context, read, write
 from vtrack_batch.pipeline.plan import Piece, Step
 from vtrack_batch.pipeline.publish import OF_DATE
 from vtrack_batch.pipeline.reading import FrameLog, Reader
+from vtrack_batch.pipeline.unit_tables import _frames, _quarantine
 from vtrack_batch.pipeline.workers import Work
 from vtrack_batch.storage.parquet import empty_frame
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -10,6 +11,9 @@ import pandas as pd
 import pytest
 
 import vtrack_batch as vt
+from vtrack_batch.pipeline.blocks import cut_blocks
+from vtrack_batch.pipeline.plan import FrameRef, Unit
+from vtrack_batch.registration.params import RegistrationParams
 
 WIDTH, HEIGHT, GSD_M, EVERY_S = 420, 260, 0.3, 2.0
 FRAMES, FLIGHT_PX = 60, 12  # to the right, a frame
@@ -58,6 +62,55 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     vt.run_survey(vt.load_survey(folder / "survey.yaml"))
     return folder / "results" / "current"
+
+
+class Film:
+    """Frames of a street as a reader would give them; those that are *black*, or *lost*, show nothing."""
+
+    def __init__(self, count: int, flight_px: int, black: tuple[int, ...] = (), lost: tuple[int, ...] = ()) -> None:
+        strip = ground(WIDTH + count * flight_px)
+        self.pictures = {f"{n:03d}.png": strip[:, n * flight_px :][:, :WIDTH].copy() for n in range(count)}
+        for number in black:
+            self.pictures[f"{number:03d}.png"][:] = 0
+        self.lost = {f"{number:03d}.png" for number in lost}
+        refs = tuple(FrameRef(path, np.datetime64(2 * n, "s"), path) for n, path in enumerate(self.pictures))
+        self.unit = Unit("main", "2026-05-17", 0.0, refs, (), refs[:1])
+
+    def pixels(self, ref: FrameRef, expected: object = None) -> np.ndarray | None:
+        return None if ref.path in self.lost else self.pictures[ref.path]
+
+    def cut(self) -> list[tuple[int, int]]:
+        parts = cut_blocks(self.unit, self, RegistrationParams())  # type: ignore[arg-type]
+        return [(int(part.frames[0].path[:3]), int(part.frames[-1].path[:3]) + 1) for part in parts]
+
+
+@pytest.mark.parametrize(
+    "bad", [{"black": (10,)}, {"black": (0,)}, {"black": (19,)}, {"black": (4, 5)}, {"lost": (0, 5, 10, 15)}]
+)
+def test_bad_frames_cut_nothing_where_the_platform_hovers(bad: dict[str, tuple[int, ...]]) -> None:
+    assert Film(20, 0, **bad).cut() == [(0, 20)]
+
+
+@pytest.mark.parametrize(
+    "bad", [{}, {"black": (0,)}, {"black": (0, 1)}, {"black": (14, 15)}, {"black": (20,)}, {"lost": (7, 13, 20, 39)}]
+)
+def test_a_flight_is_cut_though_some_frames_are_bad(bad: dict[str, tuple[int, ...]]) -> None:
+    # 40 % of a frame have passed after 14 frames of 12 px
+    found = Film(40, 12, **bad).cut()
+    assert found[0][0] == 0
+    assert found[-1][1] == 40
+    assert all(end == begin for (_, end), (begin, _) in pairwise(found))
+    assert len(found) in (3, 4)
+    assert all(7 <= end - begin <= 20 for begin, end in found)
+
+
+@pytest.mark.parametrize("count", [36, 42, 47])
+def test_the_last_two_blocks_share_what_is_left(count: int) -> None:
+    # a seventh of a frame passes from each to the next: blocks of eight, as short as they may be
+    lengths = [end - begin for begin, end in Film(count, 60).cut()]
+    assert sum(lengths) == count
+    assert lengths[:-2] == [8] * (len(lengths) - 2)
+    assert max(lengths) - 8 <= 0 < min(lengths)
 
 
 def table(snapshot: Path, name: str) -> pd.DataFrame:

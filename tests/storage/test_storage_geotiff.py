@@ -10,12 +10,12 @@ import pytest
 import rasterio
 from rasterio.transform import Affine
 
-from vtrack_batch.errors import ConfigError, UnusableFrame
+from vtrack_batch.errors import ConfigError, UnusableData, UnusableFrame
 from vtrack_batch.georeference.fix import find_fix
 from vtrack_batch.georeference.params import GeoreferenceParams
 from vtrack_batch.model import homography
 from vtrack_batch.model.ground_grid import GroundGrid
-from vtrack_batch.storage.geotiff import merge_geotiffs, read_geotags, write_geotiff
+from vtrack_batch.storage.geotiff import merge_geotiffs, read_geotags, read_reduced, write_geotiff
 
 GRID = GroundGrid("EPSG:26913", 480_000.0, 4_301_000.0, 0.5, (30, 50))
 
@@ -150,7 +150,7 @@ class TestMerging:
     def test_strangers_are_refused(self, tmp_path):
         self.write(tmp_path / "a.tif", 330.0, 990.0, 10)
         write_geotiff(tmp_path / "b.tif", np.zeros((30, 50, 3), np.uint8), np.ones((30, 50), bool), GRID)
-        with pytest.raises(ValueError, match="different"):
+        with pytest.raises(UnusableData, match="different"):
             merge_geotiffs([tmp_path / "a.tif", tmp_path / "b.tif"], tmp_path / "c.tif")
 
 
@@ -171,3 +171,20 @@ class TestRealFiles:
         fix = find_fix(GeoreferenceParams(crs="EPSG:32629"), 1362, 624, tags=tags)
         assert fix.gsd_m == pytest.approx((0.163, 0.213), abs=0.002)
         assert fix.residual_m < 0.001
+
+
+@pytest.mark.parametrize("most_px", [1000, 40, 26, 7])
+def test_a_reduced_picture_lies_where_the_whole_one_does(tmp_path, most_px):
+    pixels, valid = np.zeros((60, 104, 3), np.uint8), np.ones((60, 104), bool)
+    pixels[36:48, 16:32] = 240  # its middle is 24 px to the right of the corner, and 42 below it
+    valid[:, 96:] = False
+    grid = GroundGrid(None, 300.0, 900.0, 0.5, (60, 104))
+    write_geotiff(tmp_path / "whole.tif", pixels, valid, grid)
+    reduced, to_ground = read_reduced(tmp_path / "whole.tif", most_px)
+    assert max(reduced.shape[:2]) <= most_px
+    rows, columns = np.nonzero((reduced[:, :, 0] > 100) & (reduced[:, :, 0] <= 240) & (reduced[:, :, 0] != 235))
+    x, y, _ = to_ground @ [columns.mean(), rows.mean(), 1]
+    pixel_m = 0.5 * 104 / reduced.shape[1]
+    assert abs(x - (300 + 24 * 0.5)) <= 0.5 * pixel_m
+    assert abs(y - (900 - 42 * 0.5)) <= 0.5 * pixel_m
+    assert (reduced[:, -1] == 235).all() or most_px == 7

@@ -204,8 +204,6 @@ def _free_busy_places(
         lane = road.part((top + inner.start, top + inner.stop), (left, right))
         replace_busy(image, scatter, stack, covered, restless, open_, lane)
         strip.pixels[at], strip.spread[at] = image, scatter
-        planes = np.ascontiguousarray(image.transpose(2, 0, 1), np.uint8)
-        strip.changed[at] = deviations(stack, covered, planes, params.change_levels)[1]
 
 
 def _runs(busy: NDArray[np.bool_]) -> list[tuple[int, int]]:

@@ -14,7 +14,7 @@ class CompletenessParams(Params):
         0,
         ge=0,
         le=100_000,
-        description="vehicles painted into copies of each unit's background samples; 0 = none, completeness is null",
+        description="vehicles painted into copies of each block's background samples; 0 = none, completeness is null",
     )
     seed: int = Field(0, ge=0, description="chooses which vehicles are painted where")
     gate_m: float = Field(1.65, gt=0, description="a vehicle counts as found if a box lies this near to its centre")

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from vtrack_batch.errors import UnusableData
 
-_MOST_PIXELS = 2_000_000_000
+MOST_PIXELS = 2_000_000_000
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class GroundGrid:
         left, bottom = np.floor(corners_m.min(axis=0) / gsd_m + slack)
         right, top = np.ceil(corners_m.max(axis=0) / gsd_m - slack)
         rows, columns = max(1, int(top - bottom)), max(1, int(right - left))
-        if rows * columns > _MOST_PIXELS:
+        if rows * columns > MOST_PIXELS:
             raise UnusableData(f"the ground picture would have {columns} x {rows} px; set a larger georeference.gsd_m")
         return cls(crs, float(left * gsd_m), float(top * gsd_m), gsd_m, (rows, columns))
 

@@ -67,9 +67,11 @@ def _joined_block(unit: Unit, reader: Reader, context: Context, former: Block | 
     if found is None:
         return None
     (site_ref, site_pixels), (ref, pixels) = site, found
+    del site, found
     fix = _fix(ref, pixels, reader, context)
     if fix.method not in ("geotiff", "world_file") and ref.frame_id != site_ref.frame_id:
         joined = _join(pixels, site_pixels, _fix(site_ref, site_pixels, reader, context), context.survey)
+        del site_pixels
         if joined is None and former is not None:
             joined = _join_to_former(pixels, unit, former, reader, context.survey)
         if joined is None:
@@ -121,11 +123,13 @@ def _join_to_former(
     pixels: NDArray[np.uint8], unit: Unit, former: Block, reader: Reader, survey: Survey
 ) -> GroundFix | None:
     """Return where the reference of *unit* lies on the ground, by a frame between it and the *former* block's."""
-    params, former_pixels = survey.registration, reader.pixels(former.ref, former.size)
-    assert former_pixels is not None, "a block's reference was read before"
+    params, former_pixels = survey.registration, reader.pixels(former.ref)
+    if former_pixels is None:
+        return None
     here, there = prepare_reference(pixels, params=params), prepare_reference(former_pixels, params=params)
+    del former_pixels
     for ref in (former.unit.frames[-1], unit.frames[0], former.unit.frames[-2], unit.frames[1]):
-        between = reader.pixels(ref, former.size)
+        between = reader.pixels(ref)
         if between is None:
             continue
         to_here, to_there = (register(between, reference, params=params) for reference in (here, there))

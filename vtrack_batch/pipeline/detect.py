@@ -53,7 +53,9 @@ def detect_unit(piece: Piece, context: Context) -> None:
     reader = Reader(context.archive, context.survey.archive.max_pixels, log, context.take)
     about: dict[str, Any] = {}
     with context.new_part(piece, about) as folder:
-        done = [_detect_block(block, reader, context, folder) for block in find_blocks(unit, reader, context)]
+        done = list[Done]()
+        for block in find_blocks(unit, reader, context):
+            done.append(_detect_block(block, reader, context, folder, done[0].block if done else block))
         _join_pictures(folder, done)
         if context.survey.completeness.injections_per_unit and done:
             painted = pd.concat([of.injections for of in done], ignore_index=True)
@@ -73,11 +75,12 @@ class Done:
     ground: Path
 
 
-def _detect_block(block: Block, reader: Reader, context: Context, folder: Path) -> Done:
+def _detect_block(block: Block, reader: Reader, context: Context, folder: Path, first: Block) -> Done:
+    """Detect in one block; the pixels of the *first* say how large those of all ground pictures are."""
     survey = context.survey
     background, references = _first_pass(block, reader, survey, folder)
     detected = _second_pass(block, background, references, reader, survey)
-    ground = _write_ground(folder, block, background, survey)
+    ground = _write_ground(folder, block, background, mosaic_gsd_m(survey, first.fix.gsd_m))
     wanted = survey.completeness.injections_per_unit > 0
     painted = _injections(folder, detected, references, reader, survey) if wanted else None
     return Done(block, _detections(detected), painted, ground)
@@ -101,7 +104,7 @@ def _first_pass(block: Block, reader: Reader, survey: Survey, folder: Path) -> t
     """
     reference = block.hand_over()
     rough = prepare_reference(reference, params=survey.registration)
-    chosen = _spread(block, survey.background.samples - 1)
+    chosen = _spread(block, reader, survey.background.samples - 1)
     with sample_store(folder, (len(chosen) + 1) * reference.nbytes) as keep:
         kept, laid, taken_s = [keep(reference)], list[Registration](), [seconds(block.ref)]
         del reference
@@ -120,12 +123,14 @@ def _first_pass(block: Block, reader: Reader, survey: Survey, folder: Path) -> t
     return background, references
 
 
-def _spread(block: Block, count: int) -> list[FrameRef]:
+def _spread(block: Block, reader: Reader, count: int) -> list[FrameRef]:
     """Return up to *count* frames of the block and its halo, evenly spread in order of time, without the reference.
 
-    A camera that is frozen repeats itself: of frames with one content the first alone has a say.
+    A camera that is frozen repeats itself: of frames with one content the first alone has a say. Frames known to be of
+    another size are another block's.
     """
     pool = sorted((*block.unit.frames, *block.unit.halo), key=lambda ref: (ref.t_utc, ref.frame_id))
+    pool = [ref for ref in pool if reader.log.size.get(ref.frame_id, block.size) == block.size]
     first = {ref.sha256: ref for ref in reversed(pool)}
     pool = [ref for ref in pool if ref is first[ref.sha256] and ref.sha256 != block.ref.sha256]
     chosen: NDArray[np.int64] | list[int] = (
@@ -225,7 +230,7 @@ def _injections(
     folder: Path, detected: Detected, references: References, reader: Reader, survey: Survey
 ) -> pd.DataFrame:
     """Paint known vehicles into the background's samples, count what comes back; the halo's are samples as they are."""
-    sampled = [detected.block.ref, *_spread(detected.block, survey.background.samples - 1)]
+    sampled = [detected.block.ref, *_spread(detected.block, reader, survey.background.samples - 1)]
     inside = {ref.frame_id for ref in detected.block.unit.frames}
 
     def halo() -> Iterator[Sample]:
@@ -238,10 +243,9 @@ def _injections(
     return inject(detected, sampled, halo, reader, survey, folder)
 
 
-def _write_ground(folder: Path, block: Block, background: Background, survey: Survey) -> Path:
-    """Write the block's background as GeoTIFF at the set ground sampling distance; return where."""
+def _write_ground(folder: Path, block: Block, background: Background, gsd_m: float) -> Path:
+    """Write the block's background as GeoTIFF with pixels of *gsd_m*; return where."""
     corners_m = homography.apply(block.fix.reference_to_ground, homography.corners(*block.size))
-    gsd_m = mosaic_gsd_m(survey, block.fix.gsd_m)
     grid = GroundGrid.covering(corners_m, gsd_m, crs=block.fix.crs)
     pixels, valid = orthorectify(background.pixels, block.fix.reference_to_ground, grid, seen=background.seen)
     path = folder / f"ground-{block.ref.frame_id}.tif"

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vtrack_batch.errors import UnusableFrame
+from vtrack_batch.errors import UnusableData, UnusableFrame
 from vtrack_batch.model.geotags import GeoTags
-from vtrack_batch.model.ground_grid import GroundGrid
+from vtrack_batch.model.ground_grid import MOST_PIXELS, GroundGrid
 
 _NOTHING_LEVEL = 235
 _TILE_PX = 512
@@ -68,7 +68,8 @@ def merge_geotiffs(paths: Sequence[Path], path: Path) -> None:
     """Write the union of pictures that `write_geotiff` made on grids of one CRS and pixel size to *path*.
 
     Where they overlap the first one that is valid shows. Nothing is written for no pictures. Worked in strips, so that
-    memory does not grow with the area. Raises `ValueError` where the grids do not match, and `OSError`.
+    memory does not grow with the area. Raises `UnusableData` where the grids do not match or too much would be
+    covered, and `OSError`.
     """
     import rasterio
 
@@ -186,11 +187,17 @@ def _grid_of(picture: Any) -> GroundGrid:
 def _union(grids: Sequence[GroundGrid]) -> GroundGrid:
     first = grids[0]
     if any(grid.crs != first.crs or abs(grid.gsd_m - first.gsd_m) > 1e-9 for grid in grids):
-        raise ValueError("pictures of the ground in different CRS or of different pixel size cannot be merged")
+        kinds = sorted({f"{grid.gsd_m:g} m in {grid.crs or 'no CRS'}"[:80] for grid in grids})
+        raise UnusableData(
+            "pictures of the ground in different CRS or of different pixel size cannot be merged: "
+            f"{'; '.join(kinds)}; set georeference.gsd_m, and give all frames one CRS"
+        )
     left, top = min(grid.x_min_m for grid in grids), max(grid.y_max_m for grid in grids)
     corner = GroundGrid(first.crs, left, top, first.gsd_m, (0, 0))
     places = [(*_offset(grid, corner), *grid.shape) for grid in grids]
     rows, columns = max(row + r for row, _, r, _ in places), max(column + c for _, column, _, c in places)
+    if rows * columns > MOST_PIXELS:
+        raise UnusableData(f"the ground mosaic would have {columns} x {rows} px; set a larger georeference.gsd_m")
     return GroundGrid(first.crs, left, top, first.gsd_m, (rows, columns))
 
 
