@@ -29,7 +29,6 @@ STILL_M = 2.0  # displacements below this have no direction: neighbours all arou
 MOST_VOTES = 150_000_000
 MOST_NEAR = 50_000_000
 CUT = 3.0  # kernels end at this many standard deviations
-MOST_BINS = 1000
 LEAST_ODDS, MOST_ODDS = np.exp(-30.0), np.exp(30.0)
 
 
@@ -151,19 +150,6 @@ def _crowded(xy, bands, most):  # type: ignore[no-untyped-def]
     return False
 
 
-class Voices(NamedTuple):
-    """The edges of the neighbours of one vehicle, by how far they go along x: in bins, from ``first[b]`` on.
-
-    ``x``, ``y`` are their displacements, ``who`` the neighbour's number, ``row`` the edge's.
-    """
-
-    first: Index
-    x: Array
-    y: Array
-    who: NDArray[np.int32]
-    row: NDArray[np.int32]
-
-
 @njit(cache=True, nogil=True)
 def _votes(order, owner, d, first, xy, bands, scale, start, stop, by, weight, voters, done, at):  # type: ignore[no-untyped-def]
     """Write the votes for the edges, by owner and then by displacement, from number *done* on and to row *at* on.
@@ -171,95 +157,51 @@ def _votes(order, owner, d, first, xy, bands, scale, start, stop, by, weight, vo
     Returns the first for which room may be short, the rows written, and the room that it needs.
     """
     spread, along, across = scale
-    peak, narrow = 1 / (2 * np.pi * spread**2), 1 / spread**2
-    other, rx, ry, place = np.empty(len(xy), np.int64), np.empty(len(xy)), np.empty(len(xy)), np.empty(len(xy))
-    bin_of = _bins(d, CUT * spread)
-    voices, picked, square = _voices(bin_of, 64), np.empty(64, np.int32), np.empty(64)
+    cut, peak, narrow = CUT * spread, 1 / (2 * np.pi * spread**2), 1 / spread**2
+    other, rx, ry = np.empty(len(xy), np.int64), np.empty(len(xy)), np.empty(len(xy))
+    z, place = np.empty(len(xy)), np.empty(len(xy))
+    front, who = np.empty(len(xy), np.int64), np.empty(len(xy), np.int64)
+    square, share = np.empty(64), np.empty(64)
     i, near, room = -1, 0, 0
     for e in range(done, len(order)):
         if owner[e] != i:
             i = owner[e]
             near, room = others_near(i, xy, bands, other, rx, ry), 0
             for c in range(near):
-                room += first[other[c] + 1] - first[other[c]]
-            if room > len(voices.x):
-                voices, picked, square = _voices(bin_of, 2 * room), np.empty(2 * room, np.int32), np.empty(2 * room)
-            _gather(other[:near], order, d, first, bin_of, voices)
+                front[c] = first[other[c]]
+                room += first[other[c] + 1] - front[c]
+            if room > len(square):
+                square, share = np.empty(2 * room), np.empty(2 * room)
         if at + room > len(by):
             return e, at, room
-        voters[order[e]] = _places(d[e, 0], d[e, 1], rx[:near], ry[:near], along, across, place)
-        start[order[e]] = at
-        alike = _alike(d[e, 0], d[e, 1], bin_of[e], narrow, voices, picked, square)
-        for n in range(alike):
-            square[n] = peak * bell(square[n])
-        for n in range(alike):
-            s = picked[n]
-            by[at], weight[at] = voices.row[s], square[n] * place[voices.who[s]]
-            at += place[voices.who[s]] > 0
-        stop[order[e]] = at
+        length = np.hypot(d[e, 0], d[e, 1])
+        still = length <= STILL_M
+        # who stands has neighbours all around, as far as along a motion
+        ux, uy = (1.0, 0.0) if still else (d[e, 0] / length, d[e, 1] / length)
+        per_u, per_v = 1 / along, 1 / (along if still else across)
+        inside = 0
+        for c in range(near):
+            u, v = (rx[c] * ux + ry[c] * uy) * per_u, (rx[c] * uy - ry[c] * ux) * per_v
+            z[inside], who[inside] = u * u + v * v, c
+            inside += z[inside] <= CUT * CUT
+        for n in range(inside):
+            place[n] = bell(z[n])
+        total, start[order[e]], count = 0.0, at, 0
+        for n in range(inside):
+            c = who[n]
+            total += place[n]
+            f, last = front[c], first[other[c] + 1]
+            while f < last and d[f, 0] < d[e, 0] - cut:
+                f += 1
+            front[c] = f  # of one owner, each edge goes farther along x than the one before
+            while f < last and d[f, 0] <= d[e, 0] + cut:
+                q = ((d[f, 0] - d[e, 0]) ** 2 + (d[f, 1] - d[e, 1]) ** 2) * narrow
+                if q <= CUT * CUT:
+                    by[at + count], square[count], share[count] = order[f], q, peak * place[n]
+                    count += 1
+                f += 1
+        for n in range(count):
+            weight[at + n] = share[n] * bell(square[n])
+        at += count
+        voters[order[e]], stop[order[e]] = total, at
     return len(order), at, 0
-
-
-@njit(cache=True, nogil=True)
-def _bins(d, width):  # type: ignore[no-untyped-def]
-    """Return the bin of every edge, by how far it goes along x; bins are *width* wide, or wider."""
-    low, width = d[:, 0].min(), max(width, np.ptp(d[:, 0]) / MOST_BINS)
-    out = np.empty(len(d), np.int32)
-    for e in range(len(d)):
-        out[e] = int((d[e, 0] - low) / width)
-    return out
-
-
-@njit(cache=True, nogil=True)
-def _voices(bin_of, room):  # type: ignore[no-untyped-def]
-    first = np.zeros(bin_of.max() + 2, np.int64)
-    return Voices(first, np.empty(room), np.empty(room), np.empty(room, np.int32), np.empty(room, np.int32))
-
-
-@njit(cache=True, nogil=True)
-def _gather(other, order, d, first, bin_of, voices):  # type: ignore[no-untyped-def]
-    """Sort the edges of the *other* vehicles into the bins of *voices*."""
-    begin = voices.first
-    begin[:] = 0
-    for c in range(len(other)):
-        for f in range(first[other[c]], first[other[c] + 1]):
-            begin[bin_of[f]] += 1
-    total = 0
-    for b in range(len(begin)):
-        total += begin[b]
-        begin[b] = total
-    # from the last to the first: what was the end of a bin becomes its beginning
-    for c in range(len(other) - 1, -1, -1):
-        for f in range(first[other[c] + 1] - 1, first[other[c]] - 1, -1):
-            begin[bin_of[f]] -= 1
-            at = begin[bin_of[f]]
-            voices.x[at], voices.y[at], voices.who[at], voices.row[at] = d[f, 0], d[f, 1], c, order[f]
-
-
-@njit(cache=True, nogil=True)
-def _places(dx, dy, rx, ry, along, across, place):  # type: ignore[no-untyped-def]
-    """Write how much each neighbour (rx, ry) away counts for a motion (dx, dy); returns the sum."""
-    length = np.hypot(dx, dy)
-    still = length <= STILL_M
-    # who stands has neighbours all around, as far as along a motion
-    ux, uy = (1.0, 0.0) if still else (dx / length, dy / length)
-    per_u, per_v, total = 1 / along, 1 / (along if still else across), 0.0
-    for c in range(len(rx)):
-        u, v = (rx[c] * ux + ry[c] * uy) * per_u, (rx[c] * uy - ry[c] * ux) * per_v
-        z = u * u + v * v
-        near = bell(min(z, CUT * CUT))
-        place[c] = near if z <= CUT * CUT else 0.0
-    for c in range(len(rx)):
-        total += place[c]
-    return total
-
-
-@njit(cache=True, nogil=True)
-def _alike(dx, dy, b, narrow, voices, picked, square):  # type: ignore[no-untyped-def]
-    """Pick the voices that go nearly as (dx, dy) of bin *b*, with squared distances in variances; returns how many."""
-    count = 0
-    for s in range(voices.first[max(b - 1, 0)], voices.first[min(b + 2, len(voices.first) - 1)]):
-        picked[count] = s
-        square[count] = ((voices.x[s] - dx) ** 2 + (voices.y[s] - dy) ** 2) * narrow
-        count += square[count] <= CUT * CUT
-    return count
