@@ -21,6 +21,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from vtrack_batch.errors import UnusableData
+from vtrack_batch.matching.bits import lowest
 from vtrack_batch.matching.candidates import Array, Edges, Index, bell, in_bands, others_near
 from vtrack_batch.matching.params import NeighbourParams
 from vtrack_batch.matching.relaxation import Labels, by_displacement
@@ -29,6 +30,7 @@ STILL_M = 2.0  # displacements below this have no direction: neighbours all arou
 MOST_VOTES = 150_000_000
 MOST_NEAR = 50_000_000
 CUT = 3.0  # kernels end at this many standard deviations
+MOST_BINS = 64
 LEAST_ODDS, MOST_ODDS = np.exp(-30.0), np.exp(30.0)
 
 
@@ -124,7 +126,8 @@ def find_votes(owner: Index, displacement: Array, xy: Array, spread: float, para
         )
     order, first = by_displacement(owner, displacement[:, 0], len(xy))
     sorted_d, scale = np.ascontiguousarray(displacement[order]), np.array([spread, params.along_m, params.across_m])
-    given = order, owner[order], sorted_d, first, np.ascontiguousarray(xy), bands, scale
+    windows = _windows(owner[order], sorted_d, first, CUT * spread)
+    given = order, owner[order], sorted_d, first, windows, np.ascontiguousarray(xy), bands, scale
     done = used = 0
     while done < size:
         if len(by) > MOST_VOTES:
@@ -150,17 +153,30 @@ def _crowded(xy, bands, most):  # type: ignore[no-untyped-def]
     return False
 
 
+class Windows(NamedTuple):
+    """Which edges of a vehicle go about as far as another edge: sets of bits, 32 edges of one owner to the word.
+
+    An edge falls into the bins ``bin_x`` and ``bin_y`` (e,); the bits of ``x[word, bin]`` are the edges in this bin of x
+    or in one beside it. The words of owner j begin at ``word[j]``.
+    """
+
+    word: Index
+    bin_x: NDArray[np.int32]
+    bin_y: NDArray[np.int32]
+    x: NDArray[np.uint32]
+    y: NDArray[np.uint32]
+
+
 @njit(cache=True, nogil=True)
-def _votes(order, owner, d, first, xy, bands, scale, start, stop, by, weight, voters, done, at):  # type: ignore[no-untyped-def]
+def _votes(order, owner, d, first, windows, xy, bands, scale, start, stop, by, weight, voters, done, at):  # type: ignore[no-untyped-def]
     """Write the votes for the edges, by owner and then by displacement, from number *done* on and to row *at* on.
 
     Returns the first for which room may be short, the rows written, and the room that it needs.
     """
     spread, along, across = scale
-    cut, peak, narrow = CUT * spread, 1 / (2 * np.pi * spread**2), 1 / spread**2
+    peak, narrow = 1 / (2 * np.pi * spread**2), 1 / spread**2
     other, rx, ry = np.empty(len(xy), np.int64), np.empty(len(xy)), np.empty(len(xy))
-    z, place = np.empty(len(xy)), np.empty(len(xy))
-    front, who = np.empty(len(xy), np.int64), np.empty(len(xy), np.int64)
+    z, who, place = np.empty(len(xy)), np.empty(len(xy), np.int64), np.empty(len(xy))
     square, share = np.empty(64), np.empty(64)
     i, near, room = -1, 0, 0
     for e in range(done, len(order)):
@@ -168,40 +184,66 @@ def _votes(order, owner, d, first, xy, bands, scale, start, stop, by, weight, vo
             i = owner[e]
             near, room = others_near(i, xy, bands, other, rx, ry), 0
             for c in range(near):
-                front[c] = first[other[c]]
-                room += first[other[c] + 1] - front[c]
+                room += first[other[c] + 1] - first[other[c]]
             if room > len(square):
                 square, share = np.empty(2 * room), np.empty(2 * room)
         if at + room > len(by):
             return e, at, room
-        length = np.hypot(d[e, 0], d[e, 1])
+        dx, dy = d[e, 0], d[e, 1]
+        length = np.hypot(dx, dy)
         still = length <= STILL_M
         # who stands has neighbours all around, as far as along a motion
-        ux, uy = (1.0, 0.0) if still else (d[e, 0] / length, d[e, 1] / length)
+        ux, uy = (1.0, 0.0) if still else (dx / length, dy / length)
         per_u, per_v = 1 / along, 1 / (along if still else across)
-        inside = 0
         for c in range(near):
             u, v = (rx[c] * ux + ry[c] * uy) * per_u, (rx[c] * uy - ry[c] * ux) * per_v
-            z[inside], who[inside] = u * u + v * v, c
-            inside += z[inside] <= CUT * CUT
+            z[c] = u * u + v * v
+        inside = 0
+        for c in range(near):
+            who[inside], place[inside] = other[c], z[c]
+            inside += z[c] <= CUT * CUT
         for n in range(inside):
-            place[n] = bell(z[n])
+            place[n] = bell(place[n])
         total, start[order[e]], count = 0.0, at, 0
+        bin_x, bin_y = windows.bin_x[e], windows.bin_y[e]
         for n in range(inside):
-            c = who[n]
+            j, f = who[n], first[who[n]]
             total += place[n]
-            f, last = front[c], first[other[c] + 1]
-            while f < last and d[f, 0] < d[e, 0] - cut:
-                f += 1
-            front[c] = f  # of one owner, each edge goes farther along x than the one before
-            while f < last and d[f, 0] <= d[e, 0] + cut:
-                q = ((d[f, 0] - d[e, 0]) ** 2 + (d[f, 1] - d[e, 1]) ** 2) * narrow
-                if q <= CUT * CUT:
-                    by[at + count], square[count], share[count] = order[f], q, peak * place[n]
-                    count += 1
-                f += 1
+            for word in range(windows.word[j], windows.word[j + 1]):
+                alike = windows.x[word, bin_x] & windows.y[word, bin_y]
+                while alike:
+                    g = f + lowest(alike)
+                    alike &= alike - np.uint32(1)
+                    x, y = d[g, 0] - dx, d[g, 1] - dy
+                    q = (x * x + y * y) * narrow
+                    by[at + count], square[count], share[count] = order[g], q, peak * place[n]
+                    count += q <= CUT * CUT
+                f += 32
         for n in range(count):
             weight[at + n] = share[n] * bell(square[n])
         at += count
         voters[order[e]], stop[order[e]] = total, at
     return len(order), at, 0
+
+
+@njit(cache=True, nogil=True)
+def _windows(owner, d, first, cut):  # type: ignore[no-untyped-def]
+    """Sort the edges, given by owner, into bins as wide as the *cut*, or wider where there were too many."""
+    word = np.zeros(len(first), np.int64)
+    for j in range(len(first) - 1):
+        word[j + 1] = word[j] + (first[j + 1] - first[j] + 31) // 32
+    bins = np.empty((2, len(d)), np.int32)
+    for axis in range(2):
+        low = d[:, axis].min()
+        width = max(cut, (d[:, axis].max() - low) / MOST_BINS)
+        for e in range(len(d)):
+            bins[axis, e] = 1 + int((d[e, axis] - low) / width)
+    x, y = np.zeros((word[-1], bins[0].max() + 2), np.uint32), np.zeros((word[-1], bins[1].max() + 2), np.uint32)
+    for e in range(len(d)):
+        nth = e - first[owner[e]]
+        at, bit = word[owner[e]] + nth // 32, np.uint32(1) << np.uint32(nth % 32)
+        for beside in range(-1, 2):
+            x[at, bins[0, e] + beside] |= bit
+            y[at, bins[1, e] + beside] |= bit
+    return Windows(word, bins[0], bins[1], x, y)
+

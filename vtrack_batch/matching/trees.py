@@ -17,12 +17,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from vtrack_batch.matching.bits import lowest
 from vtrack_batch.matching.candidates import Array, Index
 
 MOST_LEAVES = 32
-SEQUENCE = 0x077CB531  # multiplied by a lone bit, its upper five bits tell which bit that is (de Bruijn sequence)
-RANK = np.zeros(32, np.int64)
-RANK[[((SEQUENCE << n) & 0xFFFFFFFF) >> 27 for n in range(32)]] = np.arange(32)
 
 
 class Decision(NamedTuple):
@@ -112,7 +110,6 @@ def _sums(x, first, threshold, left, value):  # type: ignore[no-untyped-def]
                     bits[t] &= row[t]
         total = 0.0
         for t in range(len(bits)):
-            lowest = bits[t] & (~bits[t] + np.uint32(1))
-            total += value[t, RANK[np.uint32(lowest * np.uint32(SEQUENCE)) >> np.uint32(27)]]
+            total += value[t, lowest(bits[t])]
         out[e] = total
     return out
