@@ -217,6 +217,8 @@ def _hear(asked, owner, d, p, first, bands, xy, scales, spread):  # type: ignore
     other, rx, ry = np.empty(len(xy), np.int64), np.empty(len(xy)), np.empty(len(xy))
     who, at_u, at_v = np.empty(len(xy), np.int64), np.empty(len(xy)), np.empty(len(xy))
     z, place = np.empty((len(scales), len(xy))), np.empty((len(scales), len(xy)))
+    square, along, across = np.empty(len(voice)), np.empty(len(voice)), np.empty(len(voice))
+    near, far, say = np.empty(len(voice)), np.empty(len(voice)), np.empty((len(scales), len(voice)))
     narrow, wide, i, speaking = 1 / spread[0] ** 2, 1 / spread[1] ** 2, -1, 0
     for at in range(len(asked)):
         e = asked[at]
@@ -226,50 +228,63 @@ def _hear(asked, owner, d, p, first, bands, xy, scales, spread):  # type: ignore
         length = np.hypot(d[e, 0], d[e, 1])
         still = length <= STILL_M
         ux, uy = (1.0, 0.0) if still else (d[e, 0] / length, d[e, 1] / length)
+        for c in range(speaking):
+            at_u[c], at_v[c] = rx[c] * ux + ry[c] * uy, rx[c] * uy - ry[c] * ux
+        for r in range(len(scales)):
+            # who stands has neighbours all around
+            per_u, per_v = (2 / scales[r, 0], 2 / scales[r, 0]) if still else (1 / scales[r, 0], 1 / scales[r, 1])
+            for c in range(speaking):
+                z[r, c] = (at_u[c] * per_u) ** 2 + (at_v[c] * per_v) ** 2
         count = 0
         for c in range(speaking):
-            at_u[count], at_v[count] = rx[c] * ux + ry[c] * uy, rx[c] * uy - ry[c] * ux
-            heard = False
+            heard = not still and abs(at_v[c]) < LANE_M and abs(at_u[c]) < LANE_AHEAD_M
             for r in range(len(scales)):
-                # who stands has neighbours all around
-                along, across = (0.5 * scales[r, 0], 0.5 * scales[r, 0]) if still else (scales[r, 0], scales[r, 1])
-                z[r, count] = (at_u[count] / along) ** 2 + (at_v[count] / across) ** 2
-                heard |= z[r, count] <= FARTHEST
-            in_lane = not still and abs(at_v[count]) < LANE_M and abs(at_u[count]) < LANE_AHEAD_M
-            who[count] = other[c]
-            count += heard or in_lane
+                heard |= z[r, c] <= FARTHEST
+                z[r, count] = z[r, c]
+            who[count], at_u[count], at_v[count] = other[c], at_u[c], at_v[c]
+            count += heard
         for r in range(len(scales)):
             for c in range(count):
-                near = bell(min(z[r, c], FARTHEST))
-                place[r, c] = near if z[r, c] <= FARTHEST else 0.0
+                weight = bell(min(z[r, c], FARTHEST))
+                place[r, c] = weight if z[r, c] <= FARTHEST else 0.0
+        said = 0
         for c in range(count):
             u, v = at_u[c], at_v[c]
             in_lane = not still and abs(v) < LANE_M and abs(u) < LANE_AHEAD_M
             broken, kept = 0.0, 0.0
             for f in range(voices[who[c]], voices[who[c] + 1]):
                 dx, dy = voice[f, 0] - d[e, 0], voice[f, 1] - d[e, 1]
-                along, across = dx * ux + dy * uy, dx * uy - dy * ux
-                if still:
-                    along, across = np.hypot(dx, dy), 0.0
-                square = dx * dx + dy * dy
-                near = np.exp(-0.5 * square * narrow) if square * narrow < NOTHING else 0.0
-                far = np.exp(-0.5 * square * wide) if square * wide < NOTHING else 0.0
+                square[said] = dx * dx + dy * dy
+                along[said], across[said] = dx * ux + dy * uy, dx * uy - dy * ux
                 for r in range(len(scales)):
-                    w = voice[f, 2] * place[r, c]
-                    out[at, 5 * r] += w
-                    out[at, 5 * r + 1] += w * along
-                    out[at, 5 * r + 2] += w * across
-                    out[at, 5 * r + 3] += w * near
-                    out[at, 5 * r + 4] += w * far
-                if in_lane and abs(v + across) < LANE_M:
-                    after = u + along
+                    say[r, said] = voice[f, 2] * place[r, c]
+                if in_lane and abs(v + across[said]) < LANE_M:
+                    after = u + along[said]
                     if after * u < 0 or abs(after) < GAP_M:
                         broken += voice[f, 2]
                     else:
                         kept += voice[f, 2]
+                said += 1
             out[at, 10] += broken
             out[at, 11] += kept
             out[at, 12] = max(out[at, 12], broken)
+        if still:
+            for n in range(said):
+                along[n], across[n] = np.sqrt(square[n]), 0.0
+        for n in range(said):
+            a, b = square[n] * narrow, square[n] * wide
+            near[n], far[n] = bell(min(a, NOTHING)), bell(min(b, NOTHING))
+            near[n], far[n] = (near[n] if a < NOTHING else 0.0), (far[n] if b < NOTHING else 0.0)
+        for r in range(len(scales)):
+            weight, by_along, by_across, by_near, by_far = 0.0, 0.0, 0.0, 0.0, 0.0
+            for n in range(said):
+                w = say[r, n]
+                weight += w
+                by_along += w * along[n]
+                by_across += w * across[n]
+                by_near += w * near[n]
+                by_far += w * far[n]
+            out[at, 5 * r : 5 * r + 5] = weight, by_along, by_across, by_near, by_far
     return out
 
 

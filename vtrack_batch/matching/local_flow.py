@@ -236,7 +236,7 @@ def _any_alike(motions, first, k, earlier_xy, later_xy, radius):  # type: ignore
 def _most_alike(motions, first, k, earlier_xy, later_xy, ranks):  # type: ignore[no-untyped-def]
     """Return the distances (e, r) to the motions of certain *ranks* (r,), by distance at both ends taken together."""
     out, told = np.empty((len(k), len(ranks))), np.zeros(len(k), np.bool_)
-    found = _room(len(motions.here))
+    found, least = _room(len(motions.here)), np.empty(ranks[-1] + 1)
     for i in range(len(earlier_xy)):
         radius, left = 2 * SEARCH_M, first[i + 1] - first[i]
         while left:
@@ -246,28 +246,31 @@ def _most_alike(motions, first, k, earlier_xy, later_xy, ranks):  # type: ignore
             for e in range(first[i], first[i + 1]):
                 if told[e]:
                     continue
-                sure = _sums_below(found, near, later_xy[k[e], 0], later_xy[k[e], 1], limit)
-                if sure <= ranks[-1]:
+                _least_sums(found, near, later_xy[k[e], 0], later_xy[k[e], 1], limit, least)
+                if least[-1] >= limit:
                     continue
                 told[e] = True
                 left -= 1
-                for r in range(len(ranks) - 1, -1, -1):
-                    _select(found.sum, found.row, sure, ranks[r])
-                    sure = ranks[r]
-                    out[e, r] = np.sqrt(found.sum[sure])
+                for r in range(len(ranks)):
+                    out[e, r] = np.sqrt(least[ranks[r]])
             radius *= WIDER
     return out
 
 
 @njit(cache=True, nogil=True)
-def _sums_below(found, near, x, y, limit):  # type: ignore[no-untyped-def]
-    """Write the sums of the squared distances at both ends of motions that are below *limit*; returns how many are."""
-    count = 0
+def _least_sums(found, near, x, y, limit, least):  # type: ignore[no-untyped-def]
+    """Write the least sums of the squared distances at both ends, ascending; *limit* where fewer are below it."""
     for s in range(near):
         dx, dy = found.x[s] - x, found.y[s] - y
-        found.sum[count] = found.square[s] + dx * dx + dy * dy
-        count += found.sum[count] < limit
-    return count
+        found.sum[s] = found.square[s] + dx * dx + dy * dy
+    least[:] = limit
+    for s in range(near):
+        if found.sum[s] < least[-1]:
+            at = len(least) - 1
+            while at > 0 and least[at - 1] > found.sum[s]:
+                least[at] = least[at - 1]
+                at -= 1
+            least[at] = found.sum[s]
 
 
 @njit(cache=True, nogil=True)

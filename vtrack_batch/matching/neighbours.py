@@ -156,8 +156,8 @@ def _crowded(xy, bands, most):  # type: ignore[no-untyped-def]
 class Windows(NamedTuple):
     """Which edges of a vehicle go about as far as another edge: sets of bits, 32 edges of one owner to the word.
 
-    An edge falls into the bins ``bin_x`` and ``bin_y`` (e,); the bits of ``x[word, bin]`` are the edges in this bin of x
-    or in one beside it. The words of owner j begin at ``word[j]``.
+    An edge falls into the bins ``bin_x`` and ``bin_y`` (e,); the bits of ``x[word, bin]`` are the edges in this bin
+    of x or in one beside it. The words of owner j begin at ``word[j]``.
     """
 
     word: Index
@@ -246,4 +246,3 @@ def _windows(owner, d, first, cut):  # type: ignore[no-untyped-def]
             x[at, bins[0, e] + beside] |= bit
             y[at, bins[1, e] + beside] |= bit
     return Windows(word, bins[0], bins[1], x, y)
-

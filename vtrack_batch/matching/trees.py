@@ -21,6 +21,7 @@ from vtrack_batch.matching.bits import lowest
 from vtrack_batch.matching.candidates import Array, Index
 
 MOST_LEAVES = 32
+BATCH = 32
 
 
 class Decision(NamedTuple):
@@ -97,19 +98,25 @@ def _leaves(tree: dict[str, Any], node: int, number: int, decisions: list[Decisi
 
 @njit(cache=True, nogil=True)
 def _sums(x, first, threshold, left, value):  # type: ignore[no-untyped-def]
-    out, bits = np.empty(len(x)), np.empty(len(value), np.uint32)
-    for e in range(len(x)):
+    """Return the sums (e,) of all trees; ``BATCH`` rows go side by side through the thresholds of a column."""
+    out, at, row = np.empty(len(x)), np.empty(BATCH), np.empty(BATCH, np.int64)
+    bits = np.empty((BATCH, len(value)), np.uint32)
+    for begin in range(0, len(x), BATCH):
+        size = min(BATCH, len(x) - begin)
         bits[:] = np.uint32(0xFFFFFFFF)
         for column in range(x.shape[1]):
-            below = 0  # how many thresholds are: to look at all of some forty is faster than to halve them
+            at[:size] = x[begin : begin + size, column]
+            row[:] = first[column] + column
             for s in range(first[column], first[column + 1]):
-                below += threshold[s] < x[e, column]
-            if below:
-                row = left[first[column] + column + below]
-                for t in range(len(bits)):
-                    bits[t] &= row[t]
-        total = 0.0
-        for t in range(len(bits)):
-            total += value[t, lowest(bits[t])]
-        out[e] = total
+                for e in range(BATCH):
+                    row[e] += threshold[s] < at[e]
+            for e in range(size):
+                of_row, is_left = bits[e], left[row[e]]
+                for t in range(len(value)):
+                    of_row[t] &= is_left[t]
+        for e in range(size):
+            total = 0.0
+            for t in range(len(value)):
+                total += value[t, lowest(bits[e, t])]
+            out[begin + e] = total
     return out
