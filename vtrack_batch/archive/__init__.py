@@ -17,6 +17,7 @@ Steps
     read        bytes of one file, opened safely and checked not to change meanwhile  ``read``
     header      format, size and samples, before any decoder sees the bytes           ``headers``
     decode      bytes to (H, W, 3) uint8 RGB, whole or not at all                     ``decode``
+    fields      interlaced frames told by their comb; one field of two                ``fields``
 
 What may go wrong with one frame is an ``errors.UnusableFrame`` or a row of ``Scan.quarantine``, never the end of a run;
 what is wrong with the whole archive is ``errors.NoArchive`` (missing, empty) or ``errors.ConfigError`` (no name fits).

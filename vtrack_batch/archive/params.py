@@ -50,6 +50,11 @@ class ArchiveParams(Params):
         min_length=1,
         description="files with these endings are taken for frames; case does not matter",
     )
+    interlaced: bool | None = Field(
+        None,
+        description="whether frames hold two fields taken one after the other, of which the upper one is used then; "
+        "null = told, unit by unit, by the comb that motion makes of them",
+    )
     max_pixels: int = Field(200_000_000, gt=0, description="larger frames are refused before decoding")
 
     @field_validator("pattern")

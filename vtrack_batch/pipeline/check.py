@@ -11,6 +11,7 @@ import pandas as pd
 import shapely
 
 from vtrack_batch.archive.decode import decode
+from vtrack_batch.archive.fields import are_interlaced, turns
 from vtrack_batch.archive.read import read_bytes
 from vtrack_batch.archive.sequences import median_interval_s, shares_instant, split_sequences
 from vtrack_batch.config.survey import Survey
@@ -84,8 +85,10 @@ def check_survey(survey: Survey) -> Check:
     if files.empty:
         return Check(facts, (*problems, "no frame can be used"), 65)
     sample = _sample(files)
-    sizes, refused = _decode_sample(survey, sample)
+    sizes, refused, interlaced = _decode_sample(survey, sample)
     facts["sizes_px"] = sorted({f"{width} x {height}" for width, height in sizes})
+    if interlaced:
+        facts["interlaced"] = "yes: of two fields in each frame the upper one is used, see archive.interlaced"
     problems += [*refused, *disagreements(survey, sample)]
     fix = _ground(survey, files.iloc[0], sizes, problems)
     facts["ground"] = _told(fix, sizes[0]) if fix else None
@@ -105,16 +108,18 @@ def _sample(files: pd.DataFrame) -> pd.DataFrame:
     return files.iloc[np.unique(np.linspace(0, len(files) - 1, min(SAMPLE_FRAMES, len(files))).round().astype(int))]
 
 
-def _decode_sample(survey: Survey, sample: pd.DataFrame) -> tuple[list[tuple[int, int]], list[str]]:
-    sizes, refused = [], []
+def _decode_sample(survey: Survey, sample: pd.DataFrame) -> tuple[list[tuple[int, int]], list[str], bool]:
+    sizes, refused, found = [], [], []
     for path in sample["path"]:
         try:
             data = read_bytes(survey.resolve(survey.archive.root), path)
             frame = decode(data, max_pixels=survey.archive.max_pixels)
             sizes.append((frame.width_px, frame.height_px))
+            found.append(turns(frame.pixels))
         except UnusableFrame as problem:
             refused.append(f"{path}: {problem}")
-    return sizes, refused
+    told = survey.archive.interlaced
+    return sizes, refused, are_interlaced(found) if told is None else told
 
 
 def _ground(survey: Survey, first: pd.Series, sizes: list[tuple[int, int]], problems: list[str]) -> GroundFix | None:

@@ -50,8 +50,9 @@ def detect_unit(piece: Piece, context: Context) -> None:
     assert unit is not None
     log = FrameLog(unit)
     log.refuse_repeats()
-    reader = Reader(context.archive, context.survey.archive.max_pixels, log, context.take)
-    about: dict[str, Any] = {}
+    archive = context.survey.archive
+    reader = Reader(context.archive, archive.max_pixels, log, context.take).by_fields(archive.interlaced)
+    about: dict[str, Any] = {"interlaced": reader.one_field}
     with context.new_part(piece, about) as folder:
         done = list[Done]()
         for block in find_blocks(unit, reader, context):

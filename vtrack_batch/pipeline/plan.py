@@ -266,6 +266,7 @@ def _settings(survey: Survey, step: Step, zones_text: str | None, learned: Mappi
     reads: dict[Step, dict[str, Any]] = {
         "detect": {
             "archive.max_pixels": survey.archive.max_pixels,
+            "archive.interlaced": survey.archive.interlaced,
             "georeference": survey.georeference.model_dump(mode="json"),
             "registration": survey.registration.model_dump(mode="json"),
             "background": survey.background.model_dump(mode="json"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vtrack_batch.archive.decode import Decoded, decode
+from vtrack_batch.archive.fields import are_interlaced, turns, upper_field
 from vtrack_batch.archive.read import content_hash, read_bytes
 from vtrack_batch.errors import UnusableFrame
 from vtrack_batch.pipeline.plan import FrameRef, Unit
@@ -59,6 +60,8 @@ class Reader:
     log: FrameLog
     take: Callable[[FrameRef], None]
     """Told of each frame before it is read."""
+    one_field: bool = False
+    """Whether frames are interlaced, so that the rows of their second field are drawn from the first."""
 
     def data(self, ref: FrameRef) -> bytes:
         """Return the bytes of the file."""
@@ -84,4 +87,12 @@ class Reader:
         except UnusableFrame as problem:
             self.log.refuse(ref, problem)
             return None
-        return found.pixels
+        return upper_field(found.pixels) if self.one_field else found.pixels
+
+    def by_fields(self, interlaced: bool | None) -> Reader:
+        """Return the reader for frames that are *interlaced*; None = as the first, middle and last of the unit show."""
+        if interlaced is None:
+            frames = self.log.unit.frames
+            seen = (self.pixels(frames[at]) for at in sorted({0, len(frames) // 2, len(frames) - 1}))
+            interlaced = are_interlaced([turns(pixels) for pixels in seen if pixels is not None])
+        return replace(self, one_field=interlaced)
