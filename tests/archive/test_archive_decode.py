@@ -87,7 +87,6 @@ class TestWhole:
         assert (found.width_px, found.height_px, found.bit_depth) == (161, 97, 8)
         assert found.pixels.flags.c_contiguous
         assert found.notes == ()
-        assert found.valid is None
 
     @pytest.mark.parametrize("options", [{}, {"progressive": True}, {"subsampling": 0}, {"restart_marker_rows": 1}])
     def test_jpeg_is_what_a_second_decoder_sees(self, options):
@@ -132,20 +131,21 @@ class TestWhole:
         assert found.bit_depth == 1
 
     @pytest.mark.parametrize("kind", ["PNG", "TIFF"])
-    def test_alpha_is_dropped_and_says_where_nothing_is(self, kind):
+    def test_alpha_is_dropped_and_what_it_hides_is_black(self, kind):
         image = picture()
         alpha = np.full(image.shape[:2], 255, np.uint8)
         alpha[:, 150:] = 0
         found = decode(encoded(np.dstack([image, alpha]), kind), max_pixels=LIMIT)
-        np.testing.assert_array_equal(found.pixels, image)
-        np.testing.assert_array_equal(found.valid, alpha > 0)
+        np.testing.assert_array_equal(found.pixels, np.where(alpha[:, :, None] > 0, image, 0))
+        assert "no_data_black" in found.notes
 
-    def test_no_data_of_a_tiff_is_not_valid(self):
-        image = np.maximum(picture(), 1)
-        image[:20] = 0
-        found = decode(tiff(image, nodata=0), max_pixels=LIMIT)
-        assert not found.valid[:20].any()
-        assert found.valid[20:].all()
+    def test_no_data_of_a_tiff_is_black(self):
+        image = np.minimum(picture(), 254)
+        image[:20] = 255
+        found = decode(tiff(image, nodata=255), max_pixels=LIMIT)
+        np.testing.assert_array_equal(found.pixels[20:], image[20:])
+        assert not found.pixels[:20].any()
+        assert found.notes == ("no_data_black",)
 
     def test_fourth_band_is_dropped_and_noted(self):
         image = picture()
@@ -208,7 +208,7 @@ class TestRefused:
         options = {"tiled": True, "blockxsize": 64, "blockysize": 64, "SPARSE_OK": "TRUE"}
         image[:64, :64] = 0
         assert refusal(tiff(image, **options)) == "truncated"
-        assert not decode(tiff(image, **options, nodata=0), max_pixels=LIMIT).valid[:64, :64].any()
+        assert not decode(tiff(image, **options, nodata=0), max_pixels=LIMIT).pixels[:64, :64].any()
 
     def test_empty(self):
         assert refusal(b"") == "empty"

@@ -5,7 +5,7 @@ What becomes what, always the same way and never by the frame's own range of val
     8-bit grey            the same value in red, green and blue
     palette               its colours
     white-is-zero grey    255 - value
-    alpha, fourth band    dropped; where alpha is 0, or the TIFF says no data, ``valid`` is False
+    alpha, fourth band    dropped; where alpha is 0, or the TIFF says no data, all is black, as beside an orthophoto
     EXIF orientation      ignored: pixel coordinates are those of the frame as stored
     bytes after the end   ignored and noted
 
@@ -42,8 +42,8 @@ _HARMLESS = "extraneous bytes before marker 0xd9"
 class Decoded:
     """A decoded frame.
 
-    ``pixels`` (H, W, 3) uint8 RGB; ``valid`` (H, W) bool, False where the file says there is no picture (None = valid
-    everywhere); ``bit_depth`` of the samples as stored; ``notes``: conversions made, short words.
+    ``pixels`` (H, W, 3) uint8 RGB, black where the file says that there is no picture; ``bit_depth`` of the samples as
+    stored; ``notes``: conversions made, short words.
     """
 
     pixels: NDArray[np.uint8]
@@ -52,7 +52,6 @@ class Decoded:
     height_px: int
     bit_depth: int
     notes: tuple[str, ...] = ()
-    valid: NDArray[np.bool_] | None = None
 
 
 def decode(data: bytes, *, max_pixels: int) -> Decoded:
@@ -68,16 +67,18 @@ def decode(data: bytes, *, max_pixels: int) -> Decoded:
     pixels, valid, notes = {"jpeg": _jpeg, "png": _png, "tiff": _tiff}[header.format](data, header)
     if pixels.shape != (header.height_px, header.width_px, 3):
         raise UnusableFrame("malformed", f"decoded to {pixels.shape[1]} x {pixels.shape[0]}, unlike its header")
-    if valid is not None and valid.all():
-        valid = None
+    if valid is not None and not valid.all():
+        pixels[~valid] = 0
+        notes.append("no_data_black")
     notes += [note for colours, note in _NOTES.items() if colours in header.colours]
     return Decoded(
-        pixels, header.format, header.width_px, header.height_px, header.bit_depth, tuple(sorted(set(notes))), valid
+        pixels, header.format, header.width_px, header.height_px, header.bit_depth, tuple(sorted(set(notes)))
     )
 
 
 _NOTES = {"grey": "grey_to_rgb", "palette": "palette_to_rgb", "alpha": "alpha_dropped", "inverted": "grey_inverted"}
 _Parts = tuple[NDArray[np.uint8], NDArray[np.bool_] | None, list[str]]
+"""Pixels, where the file says there is a picture (None = everywhere), notes."""
 
 
 def _jpeg(data: bytes, header: Header) -> _Parts:
