@@ -13,7 +13,7 @@ from vtrack_batch.matching.features import Evidence
 from vtrack_batch.matching.flow import FlowMap
 from vtrack_batch.matching.local_flow import LocalFlow
 from vtrack_batch.matching.neighbours import Neighbours, labels_from, match_by_neighbours, neighbours_of
-from vtrack_batch.matching.params import ColourParams, MatchingParams, Method
+from vtrack_batch.matching.params import METHODS, ColourParams, MatchingParams, Method
 from vtrack_batch.matching.regions import pair_labels
 from vtrack_batch.matching.relaxation import Labels, relax
 from vtrack_batch.matching.score import labels_of, link_probabilities, model_of
@@ -22,7 +22,6 @@ from vtrack_batch.matching.vehicles import Vehicles
 SURE = 0.9  # links from which the spread of colours is learned
 MOVING_MPS = 2.0
 PAPER = ("original", "colour", "opposite", "proposed")
-METHODS = (*PAPER, "default", "untrained", "regions", "assignment", "nearest")
 DECISION = {
     "original": "argmax",
     "colour": "argmax",

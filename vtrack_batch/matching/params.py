@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, get_args
 
 from pydantic import Field
 
@@ -11,6 +11,7 @@ from vtrack_batch.model.params import Params
 Method = Literal[
     "default", "untrained", "original", "colour", "opposite", "proposed", "regions", "assignment", "nearest"
 ]
+METHODS: tuple[str, ...] = get_args(Method)
 DecisionRule = Literal["method", "argmax", "mutual", "one_to_one", "most_right"]
 
 

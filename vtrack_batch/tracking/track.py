@@ -9,7 +9,7 @@ import pandas as pd
 
 from vtrack_batch.errors import ConfigError
 from vtrack_batch.matching.flow import FlowMap
-from vtrack_batch.matching.params import MatchingParams
+from vtrack_batch.matching.params import METHODS, MatchingParams
 from vtrack_batch.model.views import Views
 from vtrack_batch.tracking import tables
 from vtrack_batch.tracking.ends import cut_impossible_ends
@@ -25,8 +25,6 @@ from vtrack_batch.tracking.windows import linked_in_windows
 
 CHAINED = ("default", "untrained")
 REGIONS = "regions"
-PAIRWISE = ("original", "colour", "opposite", "proposed", "assignment", "nearest")
-METHODS = (*CHAINED, REGIONS, *PAIRWISE)
 
 
 @dataclass(frozen=True)
