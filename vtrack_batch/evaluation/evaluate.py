@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from vtrack_batch.evaluation.blocks import Blocks, time_blocks
+from vtrack_batch.evaluation.classes import class_scores
 from vtrack_batch.evaluation.detection import detection_scores, parked_found, recall_by_stratum
 from vtrack_batch.evaluation.frames import joined_frames
 from vtrack_batch.evaluation.intervals import interval_scores
@@ -92,6 +93,7 @@ def evaluate(result: Result, truth: Truth, *, params: EvaluationParams = Evaluat
     if result.tracked:
         numbers["tracks"] = {
             **track_scores(sides.tracked, blocks, params),
+            "classes": class_scores(result, truth, sides.tracked, blocks),
             "identity_calibration": identity_calibration(result, sides.all_tracked, blocks, params),
         }
     return Evaluation(numbers)

@@ -24,6 +24,7 @@ _HEADLINES = {
     ("matches", "calibration_of_links", "ece"): "calibration error of match probabilities",
     ("tracks", "idf1"): "identity of tracks (IDF1)",
     ("tracks", "end_to_end"): "vehicles tracked end to end",
+    ("tracks", "classes", "right_class"): "tracks of the right class (car, van, lorry, bus)",
     ("od", "error"): "OD table error",
     ("od", "unknown_share_found"): "share of trips with an unknown end, found",
     ("od", "unknown_share_true"): "share of trips with an unknown end, true",
@@ -36,7 +37,8 @@ _PERCENT = {
     "idf1", "mota", "mota_carried", "hota", "deta", "assa", "end_to_end", "found_on_one_track", "first_to_last",
     "error", "unknown_share_found", "unknown_share_true", "geh_below_2", "geh_below_5", "count_error", "share_error",
     "count_ratio", "within_stated_50", "within_stated_80", "within_stated_95", "coverage", "too_low", "too_high",
-    "mean_stated", "share_right", "ece",
+    "mean_stated", "share_right", "ece", "right_class", "taken_for_car", "taken_for_van", "taken_for_lorry",
+    "taken_for_bus", "taken_for_unknown",
 }  # fmt: skip
 _NOTHING = "the truth or the result says nothing about it"
 _WIDTH = 48
