@@ -18,6 +18,11 @@ class RevisionParams(Params):
     pierced_share: float = Field(
         0.6, gt=0, le=1, description="part of its length and width that must be driven through"
     )
+    part_gap_s: float = Field(
+        0.25, gt=0, le=0.5, description="driving boxes that are less than this behind one another are one vehicle's"
+    )
+    part_across_m: float = Field(1.2, gt=0, description="and are no farther apart across their way")
+    part_share: float = Field(0.6, gt=0.5, le=1, description="in this share of the moments that see both drive")
     stand_s: float = Field(3.0, gt=0, description="shortest stand in which shape and place are held")
     jump_m: float = Field(0.6, gt=0, description="a sighting this far from where the vehicle stands is put back there")
     size_share: float = Field(

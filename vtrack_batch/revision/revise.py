@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from vtrack_batch.revision.absences import Clock, absences
 from vtrack_batch.revision.crossing import DRIVES_MPS, drivers_through
 from vtrack_batch.revision.params import RevisionParams
+from vtrack_batch.revision.parts import joined_parts
 from vtrack_batch.revision.stands import held
 from vtrack_batch.revision.tracked import Tracked, tracked
 
@@ -33,6 +34,8 @@ def revise(
     *detections* and *track_points* as declared; *frame_times_s* (n,) seconds since the epoch of all frames, ascending.
     """
     detections = detections.sort_values("detection_id", kind="stable", ignore_index=True)
+    detections, too_many = joined_parts(detections, tracked(detections, track_points), params)
+    detections = detections[~detections.index.isin(too_many)].reset_index(drop=True)
     told = tracked(detections, track_points)
     ghost = ghosts(told, params)
     gone = told.points["row"].to_numpy()[ghost[told.points["vehicle"].to_numpy(int)]] if len(ghost) else []
