@@ -14,6 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vtrack_batch.detection.medians import REACH, medians
+
 Floats = NDArray[np.float32]
 
 STEP_M = 0.25
@@ -24,7 +26,7 @@ LONG, WIDE, CHANNELS = 16, 9, 6
 REACH_PX = 14
 """Pixels around a window that tell what is usual there."""
 
-_USUAL_CELLS = 13
+_USUAL_CELLS = 2 * REACH + 1
 _LEVEL, _LEAST = 4.0, 4.0
 _SHRINKAGE = 0.05
 _AT_ONCE = 400
@@ -69,6 +71,8 @@ def describe(
     width, height = LONG * CELL + 2 * REACH_PX, WIDE * CELL + 2 * REACH_PX
     v, u = (np.mgrid[:height, :width] - np.array([(height - 1) / 2, (width - 1) / 2])[:, None, None]) * STEP_M
     margin = REACH_PX // CELL
+    inner = np.zeros((height // CELL, width // CELL), np.uint8)
+    inner[margin : margin + WIDE, margin : margin + LONG] = 1
     found = [np.zeros((0, CHANNELS, WIDE, LONG), np.float32)]
     unit = axes_m / np.maximum(np.linalg.norm(axes_m, axis=1), 1e-9)[:, None]
     for first in range(0, len(centres_px), _AT_ONCE):
@@ -77,13 +81,17 @@ def describe(
         y = centre[:, 1] + px_per_m[1] * (u * down[:, None, None] + v * along[:, None, None])
         sheet = [one.reshape(-1, width).astype(np.float32) for one in (x, y)]
         drawn = cv2.remap(picture, sheet[0], sheet[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
-        cells = channels_of(np.asarray(drawn, np.uint8)).reshape(-1, len(centre), height // CELL, width // CELL)
+        wanted = np.tile(inner, (len(centre), 1))
+        cells = channels_of(np.asarray(drawn, np.uint8), wanted).reshape(-1, len(centre), *inner.shape)
         found.append(cells[:, :, margin : margin + WIDE, margin : margin + LONG].transpose(1, 0, 2, 3))
     return np.concatenate(found)
 
 
-def channels_of(picture: NDArray[np.uint8]) -> Floats:
-    """Return what the cells (channels, h / 2, w / 2) of a *picture* (h, w, 3) uint8 with STEP_M to a pixel show."""
+def channels_of(picture: NDArray[np.uint8], wanted: NDArray[np.uint8]) -> Floats:
+    """Return what the cells (channels, h / 2, w / 2) of a *picture* (h, w, 3) uint8 with STEP_M to a pixel show.
+
+    What is told of others than the *wanted* ones (h / 2, w / 2), 1, else 0, is not to be relied on.
+    """
     height, width = picture.shape[0] // CELL, picture.shape[1] // CELL
     lab = cv2.cvtColor(picture[: height * CELL, : width * CELL], cv2.COLOR_RGB2LAB)
     light = cv2.GaussianBlur(lab[:, :, 0].astype(np.float32), (3, 3), 0)
@@ -91,13 +99,16 @@ def channels_of(picture: NDArray[np.uint8]) -> Floats:
     across = np.abs(cv2.Sobel(light, cv2.CV_32F, 0, 1, ksize=1))
     edges = [_in_cells(np.sqrt(one)) for one in (along, across, np.minimum(along, across))]
     coarse = cv2.resize(lab, (width, height), interpolation=cv2.INTER_AREA)
-    usual = [cv2.medianBlur(np.ascontiguousarray(coarse[:, :, k]), _USUAL_CELLS) for k in range(3)]
+    # Luminance is levelled by what is around.
+    lit = np.asarray(cv2.dilate(wanted, np.ones((_USUAL_CELLS, _USUAL_CELLS), np.uint8)), np.uint8)
+    usual = [medians(np.ascontiguousarray(coarse[:, :, k]), (lit, wanted, wanted)[k]) for k in range(3)]
     off = coarse.astype(np.float32) - np.dstack(usual).astype(np.float32)
     bright = np.abs(off[:, :, 0])
-    busy, lit = _levelled(edges[0] ** 2 + edges[1] ** 2), _levelled(bright)
+    busy, even = _levelled(edges[0] ** 2 + edges[1] ** 2), _levelled(bright)
     darker = np.sqrt(np.maximum(-off[:, :, 0], 0))
     colour = np.sqrt(np.hypot(off[:, :, 1], off[:, :, 2]))
-    return np.stack([*(edge * busy for edge in edges), np.sqrt(bright) * lit, darker * lit, colour]).astype(np.float32)
+    told = *(edge * busy for edge in edges), np.sqrt(bright) * even, darker * even, colour
+    return np.stack(told).astype(np.float32)
 
 
 def _in_cells(image: Floats) -> Floats:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from vtrack_batch.detection.appearance import CELL, CHANNELS, LONG, REACH_PX, STEP_M, Appearance, channels_of
@@ -38,10 +39,11 @@ def scan(
         axis = np.array([np.cos(angle), np.sin(angle)])
         turn = np.array([axis, [-axis[1], axis[0]]])
         for corner in _tiles(at @ turn.T):
-            cells = _drawn(picture, turn, corner, px_per_m)
+            wanted = _wanted(near, turn, corner, near_cell_m)
+            cells = _drawn(picture, turn, corner, px_per_m, wanted)
             # What is drawn along an axis is drawn across another.
             for along, own in zip(turn, (looks, upright), strict=True):
-                turned_m, scores = _peaks(cells, corner, own, least)
+                turned_m, scores = _peaks(cells, wanted, corner, own, least)
                 xy_m = turned_m @ turn
                 cell = np.floor(xy_m / near_cell_m).astype(int)
                 inside = np.asarray((cell >= 0).all(axis=1) & (cell < near.shape[::-1]).all(axis=1))
@@ -63,10 +65,27 @@ def _tiles(turned_m: Floats) -> Iterator[Floats]:
     yield from (np.argwhere(held) + first) * side
 
 
+def _wanted(near: NDArray[np.bool_], turn: Floats, corner: Floats, near_cell_m: float) -> NDArray[np.uint8]:
+    """Return which cells (rows, columns) of one tile, and some around it, lie in *near* or beside: 1, else 0."""
+    cell_m, side = CELL * STEP_M, _TILE_CELLS + 2 * _MARGIN_CELLS
+    first = corner - (_MARGIN_CELLS - 0.5) * cell_m
+    to_near = np.column_stack([turn.T * cell_m / near_cell_m, turn.T @ first / near_cell_m - 0.5])
+    how = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+    there = cv2.warpAffine(near.astype(np.uint8), to_near, (side, side), flags=how)
+    return np.asarray(cv2.dilate(there, np.ones((5, 5), np.uint8)), np.uint8)
+
+
 def _drawn(
-    picture: NDArray[np.uint8], turn: Floats, corner: Floats, px_per_m: tuple[float, float]
+    picture: NDArray[np.uint8],
+    turn: Floats,
+    corner: Floats,
+    px_per_m: tuple[float, float],
+    wanted: NDArray[np.uint8],
 ) -> NDArray[np.float32]:
-    """Return what the cells of one tile show (channels, rows, columns), and some around it, drawn with *turn*."""
+    """Return what the cells of one tile, and some around it, show (channels, rows, columns), drawn with *turn*.
+
+    What is told of others than those of windows around the *wanted* ones is not to be relied on.
+    """
     cell_m, side = CELL * STEP_M, CELL * (_TILE_CELLS + 2 * _MARGIN_CELLS)
     first = corner - _MARGIN_CELLS * cell_m + STEP_M / 2
     scale = np.diag(px_per_m)
@@ -78,15 +97,17 @@ def _drawn(
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_REFLECT,
     )
-    return channels_of(np.asarray(drawn, np.uint8))
+    shown = cv2.dilate(wanted, np.ones((LONG + 1, LONG + 1), np.uint8))
+    return channels_of(np.asarray(drawn, np.uint8), np.asarray(shown, np.uint8))
 
 
-def _peaks(cells: NDArray[np.float32], corner: Floats, looks: Appearance, least: float) -> tuple[Floats, Floats]:
-    """Return places (n, 2) in turned metres and scores (n,) of the peaks of one tile."""
+def _peaks(
+    cells: NDArray[np.float32], wanted: NDArray[np.uint8], corner: Floats, looks: Appearance, least: float
+) -> tuple[Floats, Floats]:
+    """Return places (n, 2) in turned metres and scores (n,) of the peaks of one tile; all of those *wanted*."""
     high, wide = looks.weights.shape[1:]
-    total = np.full(cells.shape[1:], looks.offset, np.float32)
-    for channel, weights in zip(cells, looks.weights, strict=True):
-        total += cv2.filter2D(channel, cv2.CV_32F, np.ascontiguousarray(weights), anchor=(wide // 2, high // 2))
+    total = np.full(cells.shape[1:], -np.inf, np.float32)
+    _score(cells, np.ascontiguousarray(looks.weights), np.float32(looks.offset), wanted, total)
     inner = slice(_MARGIN_CELLS, -_MARGIN_CELLS)
     best = (total >= cv2.dilate(total, np.ones((3, 3), np.uint8))) & (total >= least)
     at = np.argwhere(best[inner, inner])
@@ -94,3 +115,26 @@ def _peaks(cells: NDArray[np.float32], corner: Floats, looks: Appearance, least:
     # a window of an even number of cells is centred between two
     middle = 0.5 - 0.5 * (np.array([wide, high]) % 2 == 0)
     return corner + (at[:, ::-1] + middle) * CELL * STEP_M, scores
+
+
+@njit(cache=True, nogil=True)
+def _score(cells, weights, offset, wanted, total):  # type: ignore[no-untyped-def]
+    """Fill *total* (rows, columns) float32, row by row from the first to the last *wanted* place, with scores.
+
+    Those are of the windows of *cells* (channels, rows, columns) in the middle of which the places lie.
+    """
+    channels, high, wide = weights.shape
+    up, left = high // 2, wide // 2
+    for r in range(up, total.shape[0] - high + up + 1):
+        places = np.flatnonzero(wanted[r, left : total.shape[1] - wide + left + 1])
+        if len(places) == 0:
+            continue
+        sums = total[r, left + places[0] : left + places[-1] + 1]
+        sums[:] = offset
+        for k in range(channels):
+            for i in range(high):
+                row = cells[k, r - up + i]
+                for j in range(wide):
+                    weight, part = weights[k, i, j], row[places[0] + j :]
+                    for c in range(len(sums)):
+                        sums[c] += weight * part[c]

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vtrack_batch.archive.decode import Decoded, decode
+from vtrack_batch.archive.decode import decode
 from vtrack_batch.archive.fields import are_interlaced, turns, upper_field
 from vtrack_batch.archive.read import content_hash, read_bytes
 from vtrack_batch.errors import UnusableFrame
@@ -51,9 +51,16 @@ class FrameLog:
         self.refused.setdefault(ref.frame_id, problem)
 
 
+_HELD_FRAMES, _HELD_BYTES = 40, 8_000_000
+
+
 @dataclass(frozen=True)
 class Reader:
-    """Reads and decodes frames; a frame that cannot be used is logged, and None is returned."""
+    """Reads and decodes frames; a frame that cannot be used is logged, and None is returned.
+
+    The first frames that are read are read again: as probes, as samples of the background, and then one after the
+    other. Small ones are held, for others to look at, not to change.
+    """
 
     root: Path
     max_pixels: int
@@ -62,6 +69,7 @@ class Reader:
     """Told of each frame before it is read."""
     one_field: bool = False
     """Whether frames are interlaced, so that the rows of their second field are drawn from the first."""
+    held: dict[str, NDArray[np.uint8]] = field(default_factory=dict)
 
     def data(self, ref: FrameRef) -> bytes:
         """Return the bytes of the file."""
@@ -73,11 +81,12 @@ class Reader:
             return None
         self.take(ref)
         try:
-            data = self.data(ref)
-            if content_hash(data) != ref.sha256:
-                raise UnusableFrame("changed_while_running", "the file is not the one that was indexed; run again")
-            found: Decoded = decode(data, max_pixels=self.max_pixels)
-            size = (found.width_px, found.height_px)
+            pixels = self.held.get(ref.frame_id)
+            if pixels is None:
+                pixels = self._decoded(ref)
+                if len(self.held) < _HELD_FRAMES and pixels.nbytes <= _HELD_BYTES:
+                    self.held[ref.frame_id] = pixels
+            size = (pixels.shape[1], pixels.shape[0])
             self.log.size[ref.frame_id] = size
             if expected is not None and size != expected:
                 raise UnusableFrame(
@@ -87,7 +96,7 @@ class Reader:
         except UnusableFrame as problem:
             self.log.refuse(ref, problem)
             return None
-        return upper_field(found.pixels) if self.one_field else found.pixels
+        return pixels
 
     def by_fields(self, interlaced: bool | None) -> Reader:
         """Return the reader for frames that are *interlaced*; None = as the first, middle and last of the unit show."""
@@ -95,4 +104,11 @@ class Reader:
             frames = self.log.unit.frames
             seen = (self.pixels(frames[at]) for at in sorted({0, len(frames) // 2, len(frames) - 1}))
             interlaced = are_interlaced([turns(pixels) for pixels in seen if pixels is not None])
-        return replace(self, one_field=interlaced)
+        return replace(self, one_field=True, held={}) if interlaced else self
+
+    def _decoded(self, ref: FrameRef) -> NDArray[np.uint8]:
+        data = self.data(ref)
+        if content_hash(data) != ref.sha256:
+            raise UnusableFrame("changed_while_running", "the file is not the one that was indexed; run again")
+        pixels = decode(data, max_pixels=self.max_pixels).pixels
+        return upper_field(pixels) if self.one_field else pixels
