@@ -89,7 +89,8 @@ def replace_busy(image, spread, stack, covered, restless, busy, road):  # type: 
     samples like the mode, where these are a kind of their own.
     """
     count = stack.shape[0]
-    levels, weight = np.empty((count, 3)), np.empty(count)
+    levels, away = np.empty((3, count), np.int32), np.empty(count, np.int32)
+    weight, votes, stay = np.empty(count), np.empty(count), np.empty(count)
     for r in range(busy.shape[0]):
         for c in range(busy.shape[1]):
             if not busy[r, c]:
@@ -98,7 +99,7 @@ def replace_busy(image, spread, stack, covered, restless, busy, road):  # type: 
             for i in range(count):
                 if covered[i, r, c]:
                     for k in range(3):
-                        levels[n, k] = stack[i, k, r, c]
+                        levels[k, n] = stack[i, k, r, c]
                     weight[n] = restless[i, r, c]
                     calmest = min(calmest, weight[n])
                     n += 1
@@ -106,47 +107,63 @@ def replace_busy(image, spread, stack, covered, restless, busy, road):  # type: 
                 continue
             for j in range(n):
                 weight[j] = np.exp((calmest - weight[j]) / _CALM)
-            best = _most_voted(levels, weight, n, road[r, c])
+            best = _most_voted(levels, weight, n, road[r, c], votes, stay)
+            _set_apart(away, levels, n, levels[0, best], levels[1, best], levels[2, best])
             for k in range(3):
-                image[r, c, k] = int(_mean_near(levels, weight, n, best, k) + 0.5)
+                image[r, c, k] = int(_mean_near(levels[k], weight, n, away) + 0.5)
             on_road = _apart(road[r, c], image[r, c]) <= _LIKE_ROAD
-            spread[r, c] = _spread_near(levels, weight, n, image[r, c], 0.0 if on_road else _KIND_APART)
+            _set_apart(away, levels, n, np.int32(image[r, c, 0]), np.int32(image[r, c, 1]), np.int32(image[r, c, 2]))
+            spread[r, c] = _spread_near(weight, n, away, 0.0 if on_road else _KIND_APART)
 
 
 @njit(cache=True, nogil=True)
-def _most_voted(levels, weight, n, road):  # type: ignore[no-untyped-def]
-    """Index of the sample whose colour has most votes."""
+def _most_voted(levels, weight, n, road, votes, stay):  # type: ignore[no-untyped-def]
+    """Index of the sample whose colour has most votes; *votes* and *stay* are overwritten.
+
+    Every sample votes on all in turn, by selections in place of branches: processors do several of them at a time.
+    """
+    votes[:n], stay[:n] = 0.0, 0.0
+    for i in range(n):
+        red, green, blue, weighs = levels[0, i], levels[1, i], levels[2, i], weight[i]
+        for j in range(n):
+            away = max(abs(levels[0, j] - red), abs(levels[1, j] - green), abs(levels[2, j] - blue))
+            likeness = 2.0 - away / _SAME
+            likeness = likeness if likeness > 0.0 else 0.0
+            likeness = likeness if likeness < 1.0 else 1.0
+            past = stay[j] if stay[j] < _STAY_VOTES else _STAY_VOTES
+            votes[j] += 0.0 if likeness > _AGREES else past
+            stay[j] = stay[j] + likeness * weighs if likeness > _AGREES else 0.0
     known = np.int64(road[0]) + np.int64(road[1]) + np.int64(road[2]) > 0
     best, most = 0, -1.0
     for j in range(n):
-        votes, stay = 0.0, 0.0
-        for i in range(n):
-            likeness = min(max(2.0 - _apart(levels[i], levels[j]) / _SAME, 0.0), 1.0)
-            if likeness > _AGREES:
-                stay += likeness * weight[i]
-            else:
-                votes += min(stay, _STAY_VOTES)
-                stay = 0.0
-        votes += min(stay, _STAY_VOTES)
+        votes[j] += min(stay[j], _STAY_VOTES)
         if known:
-            votes += _ROAD_VOTES * np.exp(-((_apart(road, levels[j]) / _LIKE_ROAD) ** 2))
-        if votes > most:
-            best, most = j, votes
+            away = max(abs(road[0] - levels[0, j]), abs(road[1] - levels[1, j]), abs(road[2] - levels[2, j]))
+            votes[j] += _ROAD_VOTES * np.exp(-((away / _LIKE_ROAD) ** 2))
+        if votes[j] > most:
+            best, most = j, votes[j]
     return best
 
 
 @njit(cache=True, nogil=True)
-def _mean_near(levels, weight, n, best, channel):  # type: ignore[no-untyped-def]
+def _set_apart(away, levels, n, red, green, blue):  # type: ignore[no-untyped-def]
+    """Fill *away* with the largest difference of a channel between a colour and each of the first *n* of *levels*."""
+    for i in range(n):
+        away[i] = max(abs(levels[0, i] - red), abs(levels[1, i] - green), abs(levels[2, i] - blue))
+
+
+@njit(cache=True, nogil=True)
+def _mean_near(levels, weight, n, away):  # type: ignore[no-untyped-def]
     total, mass = 0.0, 0.0
     for i in range(n):
-        if _apart(levels[i], levels[best]) <= _SAME:
-            total += weight[i] * levels[i, channel]
+        if away[i] <= _SAME:
+            total += weight[i] * levels[i]
             mass += weight[i]
     return total / mass
 
 
 @njit(cache=True, nogil=True)
-def _spread_near(levels, weight, n, ground, kind_apart):  # type: ignore[no-untyped-def]
+def _spread_near(weight, n, away, kind_apart):  # type: ignore[no-untyped-def]
     """The deviation that a third of the samples stay below: of those like the ground, where these are a kind apart.
 
     Among calm samples, vehicles leave a gap between the ground's levels and theirs; trees and leaning walls show all.
@@ -155,18 +172,17 @@ def _spread_near(levels, weight, n, ground, kind_apart):  # type: ignore[no-unty
     counts = np.zeros(256, np.int64)
     like, near = 0.0, 0.0
     for i in range(n):
-        away = _apart(levels[i], ground)
-        counts[int(away)] += 1
-        if away <= _SAME:
+        counts[away[i]] += 1
+        if away[i] <= _SAME:
             like += weight[i]
-        if away <= _NEAR:
+        if away[i] <= _NEAR:
             near += weight[i]
     meant = counts[: int(_SAME) + 1].sum() if like >= kind_apart * near else n
     below = 0
-    for away in range(256):
-        below += counts[away]
+    for level in range(256):
+        below += counts[level]
         if 3 * below > meant:
-            return away
+            return level
     return 255
 
 
