@@ -54,7 +54,7 @@ def _fitted(
     start = templates.margin * width + templates.margin
     # A place is row * width + column of the frame; counted from the corner of the margin, offsets are never negative.
     # Unsigned indices spare the check for negative ones, which is half the time of a sum.
-    offsets = (templates.offsets[:, 0] * width + templates.offsets[:, 1] + start).astype(np.uint64)
+    offsets = (templates.offsets[:, 0] * width + templates.offsets[:, 1] + start).astype(np.uint32)
     places = (seeds.grid * seeds.step) @ np.array([width, 1])
     weights = np.array([params.rim_weight, params.shadow_weight, params.visible_share, least])
     flat = layers.inner.ravel(), layers.rim.ravel(), layers.cast.ravel()

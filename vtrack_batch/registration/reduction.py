@@ -11,6 +11,8 @@ Grey = NDArray[np.uint8]
 
 _NEIGHBOURHOOD_PX = 31
 _CONTRAST_FLOOR = 4.0
+_WHOLE = np.float32(2**23)
+"""From here on float32 has no fractions."""
 _PIXELS_PER_SIDE = 2
 
 
@@ -73,9 +75,24 @@ def level_contrast(plane: Grey) -> Grey:
     grey = plane.astype(np.float32)
     side = (_NEIGHBOURHOOD_PX, _NEIGHBOURHOOD_PX)
     mean = cv2.blur(grey, side)
-    variance = cv2.blur(grey * grey, side) - mean * mean
-    deviation = np.sqrt(np.maximum(variance, 0)) + _CONTRAST_FLOOR
-    return np.asarray(cv2.convertScaleAbs((grey - mean) * (32 / deviation) + 128))
+    return np.asarray(_levelled(plane, mean, cv2.blur(cv2.multiply(grey, grey), side)))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _levelled(plane, mean, mean_square):  # type: ignore[no-untyped-def]
+    """Return *plane* (h, w) uint8 levelled by the *mean* and *mean_square* (h, w) float32 around each place."""
+    levelled = np.empty(plane.shape, np.uint8)
+    for r in range(plane.shape[0]):
+        middles, squares, levels, out = mean[r], mean_square[r], plane[r], levelled[r]
+        for c in range(plane.shape[1]):
+            middle = middles[c]
+            variance = squares[c] - middle * middle
+            deviation = np.sqrt(variance if variance > 0 else np.float32(0)) + np.float32(_CONTRAST_FLOOR)
+            level = abs((np.float32(levels[c]) - middle) * (np.float32(32) / deviation) + np.float32(128))
+            # To the nearest whole number, of two the even one.
+            level = ((level if level < 255 else np.float32(255)) + _WHOLE) - _WHOLE
+            out[c] = np.uint8(level)
+    return levelled
 
 
 def no_data(pixels: NDArray[np.uint8]) -> NDArray[np.bool_]:
