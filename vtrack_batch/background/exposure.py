@@ -133,15 +133,14 @@ def _smooth_curve(values: NDArray[np.float64], trust: NDArray[np.float64]) -> ND
 @njit(cache=True, nogil=True)
 def expose(picture, levels, gain, top):  # type: ignore[no-untyped-def]
     """Apply an exposure to *picture* (h, w, 3) uint8 in place; its first row is row *top* of the *gain* map."""
-    red, green, blue = levels[0], levels[1], levels[2]
+    half, full = np.float32(0.5), np.float32(255.0)
     for r in range(picture.shape[0]):
         row, gains = picture[r], gain[(r + top) >> GAIN_SHIFT]
-        for cell in range(((row.shape[0] - 1) >> GAIN_SHIFT) + 1):
-            g = gains[cell]
-            for c in range(cell << GAIN_SHIFT, min((cell + 1) << GAIN_SHIFT, row.shape[0])):
-                row[c, 0] = np.uint8(min(red[row[c, 0]] * g + 0.5, 255.0))
-                row[c, 1] = np.uint8(min(green[row[c, 1]] * g + 0.5, 255.0))
-                row[c, 2] = np.uint8(min(blue[row[c, 2]] * g + 0.5, 255.0))
+        for c in range(picture.shape[1]):
+            g = gains[c >> GAIN_SHIFT]
+            for k in range(3):
+                level = levels[k, row[c, k]] * g + half
+                row[c, k] = np.uint8(np.int32(level if level < full else full))
 
 
 @njit(cache=True, nogil=True)

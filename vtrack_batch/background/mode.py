@@ -89,8 +89,12 @@ def replace_busy(image, spread, stack, covered, restless, busy, road):  # type: 
     samples like the mode, where these are a kind of their own.
     """
     count = stack.shape[0]
-    levels, away = np.empty((3, count), np.int32), np.empty(count, np.int32)
+    levels, away = np.empty((3, count)), np.empty(count, np.int32)
     weight, votes, stay = np.empty(count), np.empty(count), np.empty(count)
+    calm, like_road = np.empty(256), np.empty(256)
+    for level in range(256):
+        calm[level] = np.exp(-level / _CALM)
+        like_road[level] = _ROAD_VOTES * np.exp(-((level / _LIKE_ROAD) ** 2))
     for r in range(busy.shape[0]):
         for c in range(busy.shape[1]):
             if not busy[r, c]:
@@ -106,19 +110,21 @@ def replace_busy(image, spread, stack, covered, restless, busy, road):  # type: 
             if n == 0:
                 continue
             for j in range(n):
-                weight[j] = np.exp((calmest - weight[j]) / _CALM)
-            best = _most_voted(levels, weight, n, road[r, c], votes, stay)
+                weight[j] = calm[int(weight[j] - calmest)]
+            best = _most_voted(levels, weight, n, road[r, c], like_road, votes, stay)
             _set_apart(away, levels, n, levels[0, best], levels[1, best], levels[2, best])
             for k in range(3):
                 image[r, c, k] = int(_mean_near(levels[k], weight, n, away) + 0.5)
             on_road = _apart(road[r, c], image[r, c]) <= _LIKE_ROAD
-            _set_apart(away, levels, n, np.int32(image[r, c, 0]), np.int32(image[r, c, 1]), np.int32(image[r, c, 2]))
+            _set_apart(away, levels, n, float(image[r, c, 0]), float(image[r, c, 1]), float(image[r, c, 2]))
             spread[r, c] = _spread_near(weight, n, away, 0.0 if on_road else _KIND_APART)
 
 
 @njit(cache=True, nogil=True)
-def _most_voted(levels, weight, n, road, votes, stay):  # type: ignore[no-untyped-def]
+def _most_voted(levels, weight, n, road, like_road, votes, stay):  # type: ignore[no-untyped-def]
     """Index of the sample whose colour has most votes; *votes* and *stay* are overwritten.
+
+    *like_road* (256,) are the votes of the *road* for what is so far from its colour.
 
     Every sample votes on all in turn, by selections in place of branches: processors do several of them at a time.
     """
@@ -126,7 +132,10 @@ def _most_voted(levels, weight, n, road, votes, stay):  # type: ignore[no-untype
     for i in range(n):
         red, green, blue, weighs = levels[0, i], levels[1, i], levels[2, i], weight[i]
         for j in range(n):
-            away = max(abs(levels[0, j] - red), abs(levels[1, j] - green), abs(levels[2, j] - blue))
+            away, other = abs(levels[0, j] - red), abs(levels[1, j] - green)
+            away = away if away > other else other
+            other = abs(levels[2, j] - blue)
+            away = away if away > other else other
             likeness = 2.0 - away / _SAME
             likeness = likeness if likeness > 0.0 else 0.0
             likeness = likeness if likeness < 1.0 else 1.0
@@ -139,7 +148,7 @@ def _most_voted(levels, weight, n, road, votes, stay):  # type: ignore[no-untype
         votes[j] += min(stay[j], _STAY_VOTES)
         if known:
             away = max(abs(road[0] - levels[0, j]), abs(road[1] - levels[1, j]), abs(road[2] - levels[2, j]))
-            votes[j] += _ROAD_VOTES * np.exp(-((away / _LIKE_ROAD) ** 2))
+            votes[j] += like_road[int(away)]
         if votes[j] > most:
             best, most = j, votes[j]
     return best
