@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from vtrack_batch.detection.medians import REACH, medians
@@ -69,22 +70,35 @@ def describe(
     Axes are vectors on the ground, *px_per_m* is along columns and rows. Returns (n, channels, WIDE, LONG) float32.
     """
     width, height = LONG * CELL + 2 * REACH_PX, WIDE * CELL + 2 * REACH_PX
-    v, u = (np.mgrid[:height, :width] - np.array([(height - 1) / 2, (width - 1) / 2])[:, None, None]) * STEP_M
     margin = REACH_PX // CELL
     inner = np.zeros((height // CELL, width // CELL), np.uint8)
     inner[margin : margin + WIDE, margin : margin + LONG] = 1
     found = [np.zeros((0, CHANNELS, WIDE, LONG), np.float32)]
     unit = axes_m / np.maximum(np.linalg.norm(axes_m, axis=1), 1e-9)[:, None]
     for first in range(0, len(centres_px), _AT_ONCE):
-        centre, (along, down) = centres_px[first : first + _AT_ONCE, :, None, None], unit[first : first + _AT_ONCE].T
-        x = centre[:, 0] + px_per_m[0] * (u * along[:, None, None] - v * down[:, None, None])
-        y = centre[:, 1] + px_per_m[1] * (u * down[:, None, None] + v * along[:, None, None])
-        sheet = [one.reshape(-1, width).astype(np.float32) for one in (x, y)]
-        drawn = cv2.remap(picture, sheet[0], sheet[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+        centre = centres_px[first : first + _AT_ONCE]
+        x, y = _sheet(centre, unit[first : first + _AT_ONCE], px_per_m, height, width)
+        drawn = cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
         wanted = np.tile(inner, (len(centre), 1))
         cells = channels_of(np.asarray(drawn, np.uint8), wanted).reshape(-1, len(centre), *inner.shape)
         found.append(cells[:, :, margin : margin + WIDE, margin : margin + LONG].transpose(1, 0, 2, 3))
     return np.concatenate(found)
+
+
+@njit(cache=True, nogil=True)
+def _sheet(centres, axes, px_per_m, height, width):  # type: ignore[no-untyped-def]
+    """Return where (x, y), in px, the pixels lie of windows of *height* x *width*, one below the other."""
+    x = np.empty((len(centres) * height, width), np.float32)
+    y = np.empty_like(x)
+    for n in range(len(centres)):
+        along, down = axes[n, 0], axes[n, 1]
+        for r in range(height):
+            v = (r - (height - 1) / 2) * STEP_M
+            for c in range(width):
+                u = (c - (width - 1) / 2) * STEP_M
+                x[n * height + r, c] = centres[n, 0] + px_per_m[0] * (u * along - v * down)
+                y[n * height + r, c] = centres[n, 1] + px_per_m[1] * (u * down + v * along)
+    return x, y
 
 
 def channels_of(picture: NDArray[np.uint8], wanted: NDArray[np.uint8]) -> Floats:
