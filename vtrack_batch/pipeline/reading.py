@@ -51,7 +51,7 @@ class FrameLog:
         self.refused.setdefault(ref.frame_id, problem)
 
 
-_HELD_FRAMES, _HELD_BYTES = 40, 8_000_000
+_HELD_FRAMES, _HELD_BYTES = 34, 8_000_000
 
 
 @dataclass(frozen=True)
