@@ -20,6 +20,7 @@ from vtrack_batch.matching.params import RelaxationParams
 
 LANES = 64  # settings of a sweep that are computed beside one another
 DEAD = np.float32(1e-9)  # labels of a sweep below this no longer count
+LEAST_SUM = np.float32(1e-37)  # labels that have all vanished stay nothing, whatever they are scaled by
 MOST_SUPPORT = 250_000_000
 
 
@@ -222,6 +223,7 @@ def _normalise(owner, new, own, none):  # type: ignore[no-untyped-def]
     for e in range(len(own)):
         total[owner[e]] += new[e]
     total += none
+    total = np.maximum(total, LEAST_SUM)
     change = 0.0
     for e in range(len(own)):
         value = new[e] / total[owner[e]]
@@ -280,7 +282,7 @@ def _normalise_lanes(owner, new, own, none, total, moving, change, alive):  # ty
                 total[owner[e], w] += new[e, w]
     for v in range(len(none)):
         for w in range(LANES):
-            total[v, w] = np.float32(1) / total[v, w]
+            total[v, w] = np.float32(1) / max(total[v, w], LEAST_SUM)
             none[v, w] *= moving[w] * total[v, w] + (np.float32(1) - moving[w])
     for e in range(len(own)):
         if alive[e]:
