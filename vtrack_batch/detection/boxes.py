@@ -7,6 +7,7 @@ be as dark as a shadow; but a shadow has something that casts it, so what no box
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from heapq import heapify, heappop, heappush
 
 import numpy as np
@@ -21,6 +22,9 @@ from vtrack_batch.detection.templates import CAST, FRONT, INSIDE, LEFT, Template
 Boxes = NDArray[np.float64]
 """(n, 6): column, row (sub-pixel), direction, size (indices), score, share of it that is visible."""
 
+Tried = Callable[[NDArray[np.float64]], NDArray[np.bool_]]
+"""Tells of places (n, 2), column and row, which directions (n, d) are tried there."""
+
 _TAKEN = -50
 _MOST_TAKEN = 0.3
 _FALLING_OFF = 0.8
@@ -31,22 +35,32 @@ _HEMMED_IN = 0.3
 
 
 def fit_boxes(
-    difference: Difference, templates: Templates, px_per_m: tuple[float, float], params: DetectionParams
+    difference: Difference,
+    templates: Templates,
+    px_per_m: tuple[float, float],
+    params: DetectionParams,
+    tried: Tried | None = None,
 ) -> Boxes:
     """Return boxes whose score is at least ``weak_score``, best first, in a picture with *px_per_m* (x, y).
 
-    Then come those of at least ``dark_score`` that are made of shadow which nothing found before casts.
+    *tried* tells which directions are tried where, None = all everywhere. Then come boxes of at least ``dark_score``
+    that are made of shadow which nothing found before casts.
     """
     layers = make_layers(difference, templates.margin, params.shadow_evidence)
-    boxes = _fitted(layers, templates, px_per_m, params, params.weak_score)
+    boxes = _fitted(layers, templates, px_per_m, params, params.weak_score, tried)
     # A shadow has something that casts it: what no box explains is dark paint.
     if _uncast(layers.inner, layers.cast, params.shadow_evidence) == 0:
         return boxes
-    return np.concatenate([boxes, _fitted(layers, templates, px_per_m, params, params.dark_score)])
+    return np.concatenate([boxes, _fitted(layers, templates, px_per_m, params, params.dark_score, tried)])
 
 
 def _fitted(
-    layers: Layers, templates: Templates, px_per_m: tuple[float, float], params: DetectionParams, least: float
+    layers: Layers,
+    templates: Templates,
+    px_per_m: tuple[float, float],
+    params: DetectionParams,
+    least: float,
+    tried: Tried | None,
 ) -> Boxes:
     """Fit boxes of score *least* to what is left in *layers*, and take it out."""
     seeds = find_seeds(layers, px_per_m, params.seed_step_m)
@@ -56,10 +70,12 @@ def _fitted(
     # Unsigned indices spare the check for negative ones, which is half the time of a sum.
     offsets = (templates.offsets[:, 0] * width + templates.offsets[:, 1] + start).astype(np.uint32)
     places = (seeds.grid * seeds.step) @ np.array([width, 1])
+    at = (seeds.grid * seeds.step)[:, ::-1].astype(float)
+    allowed = np.ones((len(at), len(templates.starts)), np.bool_) if tried is None else tried(at)
     weights = np.array([params.rim_weight, params.shadow_weight, params.visible_share, least])
     flat = layers.inner.ravel(), layers.rim.ravel(), layers.cast.ravel()
     drawn = offsets, templates.starts, templates.half_axes, templates.shades
-    return np.asarray(_fit(*flat, width, start, *drawn, seeds.grid, places, seeds.core, weights))
+    return np.asarray(_fit(*flat, width, start, *drawn, seeds.grid, places, seeds.core, weights, allowed))
 
 
 @njit(cache=True, nogil=True)
@@ -75,14 +91,14 @@ def _uncast(inner, cast, shadow_evidence):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _fit(inner, rim, cast, width, start, offsets, starts, half_axes, shades, grid, places, core, weights):  # type: ignore[no-untyped-def]
+def _fit(inner, rim, cast, width, start, offsets, starts, half_axes, shades, grid, places, core, weights, allowed):  # type: ignore[no-untyped-def]
     best = np.zeros((len(places), 3))
     queue = [(0.0, 0)]
     queue.clear()
     weak = weights[3]
     cars = starts[:, :1]
     for i in range(len(places)):
-        _best_box(inner, rim, cast, offsets, cars, places[i], weights, _HOPE * weak, best[i])
+        _best_box(inner, rim, cast, offsets, cars, places[i], weights, _HOPE * weak, allowed[i], best[i])
     peaks = _peaks(grid, best[:, 0])
     for i in range(len(places)):
         # Larger boxes are tried where a car fits better than beside, or, at every other seed, is hemmed in; the rest
@@ -91,7 +107,7 @@ def _fit(inner, rim, cast, width, start, offsets, starts, half_axes, shades, gri
         if not peaks[i] and best[i, 0] > 0:
             peaks[i] = _rim_share(rim, offsets, starts[d, 0], places[i]) >= _HEMMED_IN
         if peaks[i]:
-            _best_box(inner, rim, cast, offsets, starts, places[i], weights, weak, best[i])
+            _best_box(inner, rim, cast, offsets, starts, places[i], weights, weak, allowed[i], best[i])
         if best[i, 0] >= weak:
             queue.append((-best[i, 0], i))
     heapify(queue)
@@ -104,7 +120,7 @@ def _fit(inner, rim, cast, width, start, offsets, starts, half_axes, shades, gri
         if not (same and peaks[i]):
             # Some of its pixels went to a better box, or only cars were tried: what fits best here?
             if _is_open(inner, width, places[i] + start, core):
-                _best_box(inner, rim, cast, offsets, starts, places[i], weights, weak, best[i])
+                _best_box(inner, rim, cast, offsets, starts, places[i], weights, weak, allowed[i], best[i])
                 if weak <= best[i, 0] and (best[i, 0] < before or not peaks[i]):
                     heappush(queue, (-best[i, 0], i))
                 peaks[i] = True
@@ -147,17 +163,19 @@ def _peaks(grid, score):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _best_box(inner, rim, cast, offsets, starts, place, weights, least, best):  # type: ignore[no-untyped-def]
+def _best_box(inner, rim, cast, offsets, starts, place, weights, least, allowed, best):  # type: ignore[no-untyped-def]
     """Write the score, direction and size of the best box at *place* to *best*; below *least* none is looked for."""
     directions, sizes = starts.shape[0], starts.shape[1]
     filled = np.empty(directions)
     for d in range(0, directions, 2):
-        filled[d] = _inside(inner, offsets, starts[d, 0], place, weights[2])
+        filled[d] = _inside(inner, offsets, starts[d, 0], place, weights[2]) if allowed[d] else -10.0
     hopeful = filled[::2].max() - _HOPEFUL
     for d in range(1, directions, 2):
         # Between two directions that fit badly none fits well.
         filled[d] = -10.0
-        if filled[d - 1] >= hopeful or filled[(d + 1) % directions] >= hopeful:
+        after = (d + 1) % directions
+        unknown = not (allowed[d - 1] or allowed[after])
+        if allowed[d] and (filled[d - 1] >= hopeful or filled[after] >= hopeful or unknown):
             filled[d] = _inside(inner, offsets, starts[d, 0], place, weights[2])
     best[0] = least - 1e-9
     found = False

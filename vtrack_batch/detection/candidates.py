@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vtrack_batch.background.coverage import without_data
+from vtrack_batch.background.faint import add_faint
 from vtrack_batch.background.learn import Background
 from vtrack_batch.background.subtract import UNSEEN, Difference, subtract
-from vtrack_batch.detection.boxes import fit_boxes
+from vtrack_batch.detection.boxes import Tried, fit_boxes
 from vtrack_batch.detection.measure import measure
 from vtrack_batch.detection.overlaps import stand_alone
 from vtrack_batch.detection.params import DetectionParams
@@ -19,6 +20,8 @@ from vtrack_batch.detection.refine import refine
 from vtrack_batch.detection.templates import draw_templates
 from vtrack_batch.model import homography
 from vtrack_batch.model.flags import DetectionFlag
+
+_FAINT_REACH_M = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,10 +67,12 @@ def find_candidates(
     *,
     metres_per_px: tuple[float, float],
     params: DetectionParams,
+    tried: Tried | None = None,
 ) -> Candidates:
     """Fit boxes to what differs from *background* in the frame *pixels* (H, W, 3) uint8 RGB.
 
-    *metres_per_px* = ground distance of the reference's pixels along columns and rows.
+    *metres_per_px* = ground distance of the reference's pixels along columns and rows; *tried* tells of places in the
+    frame's px which directions are tried there, None = all.
     """
     steps = grid_steps(params, metres_per_px)
     to_frame = _grid_to_frame(steps)
@@ -82,11 +87,14 @@ def find_candidates(
         shadow_band=background.shadows.band,
         tile_px=params.gain_tile_m * float(np.mean(px_per_m)),
     )
+    reach_px = _FAINT_REACH_M * float(np.mean(px_per_m))
+    add_faint(difference, picture, threshold=params.faint_levels, reach_px=reach_px)
     missing = without_data(pixels)
     if missing is not None:
         difference.classes[reduced(missing, steps) == 255] = UNSEEN
     shadow = _in_frame(background.shadows.direction, frame_to_reference)
-    return candidates_in(picture, difference, px_per_m=px_per_m, steps=steps, shadow=shadow, params=params)
+    here = None if tried is None else _through(to_frame, tried)
+    return candidates_in(picture, difference, px_per_m=px_per_m, steps=steps, shadow=shadow, params=params, tried=here)
 
 
 def candidates_in(
@@ -97,13 +105,15 @@ def candidates_in(
     steps: tuple[int, int],
     shadow: tuple[float, float] | None,
     params: DetectionParams,
+    tried: Tried | None = None,
 ) -> Candidates:
     """Fit boxes to a *difference*, however it was made, of the *picture* (h, w, 3) uint8 with *px_per_m* (x, y).
 
-    The picture is the frame reduced by whole *steps* (x, y); *shadow* = unit vector (x, y) towards cast shadows.
+    The picture is the frame reduced by whole *steps* (x, y); *shadow* = unit vector (x, y) towards cast shadows;
+    *tried* as in ``fit_boxes``.
     """
     templates = draw_templates(px_per_m, shadow, params)
-    boxes = fit_boxes(difference, templates, px_per_m, params)
+    boxes = fit_boxes(difference, templates, px_per_m, params, tried)
     axes = templates.half_axes[boxes[:, 2].astype(int), boxes[:, 3].astype(int)]
     placed = np.concatenate([boxes[:, :2], axes], axis=1)
     scale = np.array(px_per_m)
@@ -133,6 +143,11 @@ def reduced(image: NDArray[np.uint8], steps: tuple[int, int]) -> NDArray[np.uint
     width, height = image.shape[1] // steps[0], image.shape[0] // steps[1]
     whole = image[: height * steps[1], : width * steps[0]]
     return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _through(to_frame: NDArray[np.float64], tried: Tried) -> Tried:
+    """Return what tells of places of the reduced picture what *tried* tells of the frame's."""
+    return lambda places: tried(homography.apply(to_frame, places))
 
 
 def _px_per_m(

@@ -14,6 +14,9 @@ class DetectionParams(Params):
         0.29, gt=0, description="finest ground distance worked on; finer frames are reduced to about it"
     )
     threshold_levels: float = Field(12.0, gt=0, description="difference beyond the tolerance that gives half evidence")
+    faint_levels: float = Field(
+        9.0, gt=0, description="the same for the mean of nine pixels, beside what differs by itself"
+    )
     gain_tile_m: float = Field(
         24.0, gt=0, description="distance of the nodes of the smooth gain between frame and ground"
     )
@@ -24,6 +27,15 @@ class DetectionParams(Params):
     )
     directions: int = Field(
         12, ge=2, le=60, description="directions of boxes that are tried, evenly spread over 180 degrees"
+    )
+    lane_frames: int = Field(
+        12, ge=0, description="frames of a block that tell which way vehicles lie where; 0 = all directions are tried"
+    )
+    lane_score: float = Field(0.8, gt=0, le=1.5, description="least score of a box that tells which way vehicles lie")
+    lane_reach_m: float = Field(7.0, gt=0, description="how far around a box tells so: a standard deviation")
+    lane_votes: float = Field(4.0, gt=0, description="boxes around without which all directions are tried")
+    lane_share: float = Field(
+        0.1, gt=0, lt=1, description="least share of the boxes around that have a direction which is tried"
     )
     seed_step_m: float = Field(0.6, gt=0, description="distance of the places at which boxes are tried")
     rim_m: float = Field(0.45, gt=0, description="distance from the box of the rim that should be free")

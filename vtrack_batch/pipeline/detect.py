@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,8 @@ from vtrack_batch.config.survey import Survey
 from vtrack_batch.detection.candidates import Candidates, find_candidates
 from vtrack_batch.detection.examples import Examples
 from vtrack_batch.detection.ground import measure_on_ground
+from vtrack_batch.detection.lanes import Lanes, learn_lanes
+from vtrack_batch.detection.params import DetectionParams
 from vtrack_batch.detection.place import flag_outside, learn_place, select
 from vtrack_batch.detection.standing import find_standing, moving_boxes, with_standing
 from vtrack_batch.errors import UnusableFrame
@@ -79,12 +81,12 @@ class Done:
 def _detect_block(block: Block, reader: Reader, context: Context, folder: Path, first: Block) -> Done:
     """Detect in one block; the pixels of the *first* say how large those of all ground pictures are."""
     survey = context.survey
-    background, references = _first_pass(block, reader, survey, folder)
-    detected = _second_pass(block, background, references, reader, survey)
-    ground = _write_ground(folder, block, background, mosaic_gsd_m(survey, first.fix.gsd_m))
+    ground, references = _first_pass(block, reader, survey, folder)
+    detected = _second_pass(block, ground, references, reader, survey)
+    picture = _write_ground(folder, block, ground.background, mosaic_gsd_m(survey, first.fix.gsd_m))
     wanted = survey.completeness.injections_per_unit > 0
     painted = _injections(folder, detected, references, reader, survey) if wanted else None
-    return Done(block, _detections(detected), painted, ground)
+    return Done(block, _detections(detected), painted, picture)
 
 
 def _join_pictures(folder: Path, done: list[Done]) -> None:
@@ -98,8 +100,16 @@ def _join_pictures(folder: Path, done: list[Done]) -> None:
         pictures[0].rename(folder / "ground.tif")
 
 
-def _first_pass(block: Block, reader: Reader, survey: Survey, folder: Path) -> tuple[Background, References]:
-    """Learn the background from frames spread over the block and its halo, and which patches hold still.
+@dataclass(frozen=True)
+class Ground:
+    """The ground of a block without vehicles, and which way they lie on it; None = not asked."""
+
+    background: Background
+    lanes: Lanes | None
+
+
+def _first_pass(block: Block, reader: Reader, survey: Survey, folder: Path) -> tuple[Ground, References]:
+    """Learn the ground from frames spread over the block and its halo, and which patches hold still.
 
     Samples that memory should not hold wait in a file in *folder* without a name.
     """
@@ -121,7 +131,22 @@ def _first_pass(block: Block, reader: Reader, survey: Survey, folder: Path) -> t
         background = learn_background(
             timed, params=survey.background, metres_per_px=float(np.mean(block.metres_per_px))
         )
-    return background, references
+        lanes = _lanes(timed, background, block, survey.detection)
+    return Ground(background, lanes), references
+
+
+def _lanes(samples: Sequence[Sample], background: Background, block: Block, params: DetectionParams) -> Lanes | None:
+    """Let vehicles in some of the *samples* tell which way they lie where."""
+    if not params.lane_frames:
+        return None
+    most = min(params.lane_frames, len(samples))
+    chosen = [samples[i] for i in np.unique(np.linspace(0, len(samples) - 1, most).round().astype(int))]
+    scale, poses = block.metres_per_px, [sample.frame_to_reference for sample in chosen]
+    found = [
+        find_candidates(sample.pixels[:], pose, background, metres_per_px=scale, params=params)
+        for sample, pose in zip(chosen, poses, strict=True)
+    ]
+    return learn_lanes(found, poses, background.levels.shape, metres_per_px=scale, params=params)
 
 
 def _spread(block: Block, reader: Reader, count: int) -> list[FrameRef]:
@@ -140,18 +165,17 @@ def _spread(block: Block, reader: Reader, count: int) -> list[FrameRef]:
     return [pool[i] for i in chosen]
 
 
-def _second_pass(
-    block: Block, background: Background, references: References, reader: Reader, survey: Survey
-) -> Detected:
+def _second_pass(block: Block, ground: Ground, references: References, reader: Reader, survey: Survey) -> Detected:
     """Register every frame, find candidates, tell which of them fit the block's place model."""
+    background, lanes = ground.background, ground.lanes
     examples = Examples.of(len(block.unit.frames))
     seen: list[tuple[FrameRef, Array, Bend | None, Candidates]] = []
-    for ref, laid, found in _candidates(block, background, references, reader, survey):
+    for ref, laid, found in _candidates(block, ground, references, reader, survey):
         examples.add(len(seen), laid.pixels, found, block.metres_per_px, survey.detection)
         seen.append((ref, laid.registration.frame_to_reference, laid.bend, found))
         del laid  # a large frame, before the next one is read
     if not seen:
-        return Detected(block, background, None, [])
+        return Detected(block, background, lanes, None, [])
     refs, poses, _, candidates = zip(*seen, strict=True)
     times_s = np.array([(ref.t_utc - refs[0].t_utc) / np.timedelta64(1, "s") for ref in refs])
     place = learn_place(
@@ -171,7 +195,7 @@ def _second_pass(
         chosen = select(found, pose, place, frame=index, params=survey.detection)
         kept = with_standing(found, chosen, standing, pose, block.size, block.metres_per_px)
         frames.append(Seen(ref, pose, bend, flag_outside(kept, pose, place)))
-    return Detected(block, background, place, frames)
+    return Detected(block, background, lanes, place, frames)
 
 
 def _detections(detected: Detected) -> pd.DataFrame:
@@ -209,7 +233,7 @@ def _measured(seen: Seen, to_ground: Array) -> pd.DataFrame:
 
 
 def _candidates(
-    block: Block, background: Background, references: References, reader: Reader, survey: Survey
+    block: Block, ground: Ground, references: References, reader: Reader, survey: Survey
 ) -> Iterator[tuple[FrameRef, Laid, Candidates]]:
     for ref in block.unit.frames:
         pixels = reader.pixels(ref, block.size)
@@ -221,8 +245,10 @@ def _candidates(
             reason = pose.reason or "not_registered"
             reader.log.refuse(ref, UnusableFrame(reason, f"residual {pose.residual_px:.2f} px, {pose.inliers} inliers"))
             continue
+        at, scale = pose.frame_to_reference, block.metres_per_px
+        tried = ground.lanes.tried_in(at) if ground.lanes else None
         found = find_candidates(
-            laid.pixels, pose.frame_to_reference, background, metres_per_px=block.metres_per_px, params=survey.detection
+            laid.pixels, at, ground.background, metres_per_px=scale, params=survey.detection, tried=tried
         )
         yield ref, laid, found
 

@@ -27,6 +27,7 @@ from vtrack_batch.completeness.sightings import came_back, paint_of
 from vtrack_batch.completeness.table import INJECTIONS
 from vtrack_batch.config.survey import Survey
 from vtrack_batch.detection.candidates import Candidates, find_candidates
+from vtrack_batch.detection.lanes import Lanes
 from vtrack_batch.detection.place import Place, select
 from vtrack_batch.model import homography
 from vtrack_batch.model.flags import DetectionFlag
@@ -60,6 +61,8 @@ class Detected:
 
     block: Block
     background: Background
+    lanes: Lanes | None
+    """None where all directions are tried."""
     place: Place | None
     """None where no frame could be used."""
     frames: Sequence[Seen]
@@ -147,7 +150,8 @@ class Copy:
         place, pose, params = self.detected.place, sample.frame_to_reference, self.survey.detection
         assert place is not None
         scale = self.detected.block.metres_per_px
-        found = find_candidates(sample.pixels[:], pose, background, metres_per_px=scale, params=params)
+        tried = self.detected.lanes.tried_in(pose) if self.detected.lanes else None
+        found = find_candidates(sample.pixels[:], pose, background, metres_per_px=scale, params=params, tried=tried)
         # chains of others say nothing of what is painted
         alone = replace(place, chained=(np.zeros(0, np.int64),))
         return found.take(select(found, pose, alone, frame=0, params=params))
