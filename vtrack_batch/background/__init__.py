@@ -21,9 +21,9 @@ The future is allowed: samples spread over the whole block beat every running ba
 for a minute is background to a short memory. Two signal cycles should lie within the samples.
 
 ``subtract`` is the difference of one frame from the background; chapter ``detection`` uses the same function, so that
-what is learned here is what is used there. It looks at one pixel of nine, and at all of them where those differ. ``faint``
-then asks the pixels around what was found again, nine together, as far as empty ground of the frame shows little by
-chance.
+what is learned here is what is used there. It looks at one pixel of nine, and at all of them where those differ.
+``faint`` then asks the pixels around what was found again, nine together, as far as empty ground of the frame shows
+little by chance.
 
 Sources: median by sorting network, Knuth, The Art of Computer Programming 3, 5.2.2, algorithm M; mode by votes,
 Parzen 1962; smoothing of the exposure map, Eilers 2003; shadows as constant ratios, Horprasert et al. 1999.

@@ -8,9 +8,9 @@ Steps
 1. ``candidates.find_candidates``, frame by frame: fine frames are reduced to about 0.3 m; ``background.subtract`` says
    how surely every pixel differs from the ground and which pixels are only darkened by a cast shadow;
    ``background.faint`` fills bodies of nearly the ground's colour by what nine pixels show alike; ``seeds`` says where
-   to look, ``lanes``, learned from some samples of the block, in which directions; ``boxes`` fits oriented boxes, car to
-   lorry, drawn once a block by ``templates``; ``overlaps`` drops boxes made of what a better one left over; ``measure``
-   takes colour, area and contrast from inside. Weak candidates are kept with their score.
+   to look, ``lanes``, learned from some samples of the block, in which directions; ``boxes`` fits oriented boxes, car
+   to lorry, drawn once a block by ``templates``; ``overlaps`` drops boxes made of what a better one left over;
+   ``measure`` takes colour, area and contrast from inside. Weak candidates are kept with their score.
 2. ``place.learn_place``, once a block: ``chains`` of strict candidates that move steadily along their own axis, fast or
    for long, or, where frames are far apart, fitting closely, draw the road; over ground of one hue, for roofs have
    another.
