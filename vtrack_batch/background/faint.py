@@ -51,16 +51,14 @@ def add_faint(
     _raise(*seen, threshold, near, difference.evidence, difference.classes)
 
 
-@njit(cache=True, nogil=True)
-def _held(evidence):  # type: ignore[no-untyped-def]
+def _held(evidence: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return which cells of pixels hold one that surely differs."""
-    height, width = evidence.shape
-    held = np.zeros(((height + _CELL - 1) // _CELL, (width + _CELL - 1) // _CELL), np.uint8)
-    for row in range(height):
-        for column in range(width):
-            if evidence[row, column] >= _SURE:
-                held[row // _CELL, column // _CELL] = 1
-    return held
+    rows, columns = (-(-side // _CELL) for side in evidence.shape)
+    sure = cv2.threshold(evidence, _SURE - 1, 255, cv2.THRESH_BINARY)[1]
+    sure = cv2.copyMakeBorder(
+        sure, 0, rows * _CELL - len(sure), 0, columns * _CELL - sure.shape[1], cv2.BORDER_CONSTANT, value=0
+    )
+    return np.asarray(cv2.resize(sure, (columns, rows), interpolation=cv2.INTER_AREA) > 0, np.uint8)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -93,18 +91,28 @@ def _raise(frame, ground, matrix, levels, gain, threshold, near, evidence, class
         if middle < 1:
             continue
         above, here, below = rows[(row - 2) % 3], rows[middle % 3], rows[row % 3]
-        for column in range(1, width - 1):
-            if not near[middle // _CELL, column // _CELL] or classes[middle, column] == UNSEEN:
+        for cell in range(near.shape[1]):
+            if not near[middle // _CELL, cell]:
                 continue
-            change = _together(above, here, below, column)
-            value = int(min(max((abs(change) - here[column, 3]) / threshold - 0.5, 0.0), 1.0) * FULL)
-            if value <= evidence[middle, column]:
-                continue
-            # The edge of a shadow is half as dark, and nothing that lies on the ground.
-            if change > 0 or not (classes[middle - 1 : middle + 2, column - 1 : column + 2] == SHADOW).any():
-                evidence[middle, column] = value
-                if classes[middle, column] == GROUND:
-                    classes[middle, column] = OBJECT
+            for column in range(max(1, cell * _CELL), min(width - 1, (cell + 1) * _CELL)):
+                if evidence[middle, column] == FULL or classes[middle, column] == UNSEEN:
+                    continue
+                change = _together(above, here, below, column)
+                value = int(min(max((abs(change) - here[column, 3]) / threshold - 0.5, 0.0), 1.0) * FULL)
+                # The edge of a shadow is half as dark, and nothing that lies on the ground.
+                if value > evidence[middle, column] and (change > 0 or not _beside_shadow(classes, middle, column)):
+                    evidence[middle, column] = value
+                    if classes[middle, column] == GROUND:
+                        classes[middle, column] = OBJECT
+
+
+@njit(cache=True, nogil=True)
+def _beside_shadow(classes, row, column):  # type: ignore[no-untyped-def]
+    for r in range(row - 1, row + 2):
+        for c in range(column - 1, column + 2):
+            if classes[r, c] == SHADOW:
+                return True
+    return False
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -131,11 +139,12 @@ def _differences(frame, ground, matrix, levels, gain, near, row, found):  # type
     """Fill *found* (W, 4) with the signed differences and the tolerance of one row, where it may be asked for."""
     height, width = frame.shape[:2]
     above, below = max(0, row - 1) // _CELL, min(height - 1, row + 1) // _CELL
-    for column in range(width):
-        first, last = max(0, column - 1) // _CELL, min(width - 1, column + 1) // _CELL
-        if not (near[above, first] or near[above, last] or near[below, first] or near[below, last]):
-            continue
-        _differ(frame, ground, matrix, levels, gain, row, column, found[column])
+    done = 0
+    for cell in range(near.shape[1]):
+        if near[above, cell] or near[below, cell]:
+            for column in range(max(done, cell * _CELL - 1), min(width, (cell + 1) * _CELL + 1)):
+                _differ(frame, ground, matrix, levels, gain, row, column, found[column])
+                done = column + 1
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -21,7 +21,7 @@ from vtrack_batch.detection.templates import draw_templates
 from vtrack_batch.model import homography
 from vtrack_batch.model.flags import DetectionFlag
 
-_FAINT_REACH_M = 2.0
+_FAINT_REACH_M = 1.2
 
 
 @dataclass(frozen=True, eq=False)
