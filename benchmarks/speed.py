@@ -60,6 +60,7 @@ STAGES = {
     "settle poses": ("pipeline/laying.py", "lay_samples"),
     "learn the background": ("background/learn.py", "learn_background"),
     "difference": ("background/subtract.py", "subtract"),
+    "faint bodies": ("background/faint.py", "add_faint"),
     "boxes": ("detection/boxes.py", "fit_boxes"),
     "adjust boxes": ("detection/refine.py", "refine"),
     "place model": ("detection/place.py", "learn_place"),
