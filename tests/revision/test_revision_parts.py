@@ -76,6 +76,20 @@ def test_three_parts_of_a_bus_become_one() -> None:
     assert found["length_m"].to_numpy() == pytest.approx(17.0, abs=1e-6)
 
 
+def test_parts_whose_tracks_part_are_not_joined_from_afar() -> None:
+    load = drive("v-b", 93.5, 12.0, length_m=8.0)
+    load.loc[load["frame"] >= 8, ["x_m", "y_m"]] -= 90.0 * EAST_BY_NORTH
+    found = revised(drive("v-a", 100.0, 12.0, length_m=3.0), load)
+    assert len(found) == FRAMES + 4
+    assert found["length_m"].max() == pytest.approx(12.0)
+
+
+def test_a_chain_of_boxes_longer_than_any_vehicle_is_left_as_it_is() -> None:
+    found = revised(*(drive(f"v-{n}", 50.0 - 6.0 * n, 9.0, length_m=5.0) for n in range(4)))
+    assert len(found) == 4 * FRAMES
+    assert found["length_m"].to_numpy() == pytest.approx(5.0)
+
+
 @pytest.mark.parametrize(
     "others",
     [
