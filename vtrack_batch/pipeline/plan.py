@@ -57,7 +57,9 @@ class Refs(Sequence[FrameRef]):
         return len(self._places)
 
     def __iter__(self) -> Iterator[FrameRef]:
-        return iter(refs_of(self._table.iloc[self._places]))
+        # row by row, text in many chunks would be copied as a whole each time; frames of a unit are neighbours
+        runs = np.split(self._places, np.flatnonzero(np.diff(self._places) != 1) + 1)
+        return iter([ref for run in runs if len(run) for ref in refs_of(self._table.iloc[run[0] : run[-1] + 1])])
 
     @overload
     def __getitem__(self, at: int) -> FrameRef: ...
