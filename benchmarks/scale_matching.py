@@ -1,6 +1,7 @@
 """How the cost of matching and tracking grows: ``make bench-scale`` writes a section of docs/performance.md.
 
-Processor time of one core, the best of a few runs; peak memory of a process of its own for every row.
+Processor time of one core, the best of five runs, or of more where a run is short; peak memory of a process of its
+own for every row.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ def pair_row(method: str, size: int) -> dict[str, Any]:
 
     match(*town(200), elapsed_s=INTERVAL_S, method=method)
     images = town(size)
-    seconds = least(lambda: match(*images, elapsed_s=INTERVAL_S, method=method), max(3, 300 // size))
+    seconds = least(lambda: match(*images, elapsed_s=INTERVAL_S, method=method), max(5, 5000 // size))
     return {"method": method, "size": size, "seconds": seconds}
 
 

@@ -157,10 +157,9 @@ def _within(motions, x, y, radius, found):  # type: ignore[no-untyped-def]
         for s in range(motions.first[row * columns + a], motions.first[row * columns + b + 1]):
             dx, dy = motions.here[s, 0] - x, motions.here[s, 1] - y
             square = dx * dx + dy * dy
-            if square <= limit:
-                found.square[count], found.row[count] = square, s
-                found.x[count], found.y[count] = motions.there[s, 0], motions.there[s, 1]
-                count += 1
+            found.square[count], found.row[count] = square, s
+            found.x[count], found.y[count] = motions.there[s, 0], motions.there[s, 1]
+            count += square <= limit  # what is too far is written over by the next
     return count
 
 
@@ -236,9 +235,9 @@ def _any_alike(motions, first, k, earlier_xy, later_xy, radius):  # type: ignore
 def _most_alike(motions, first, k, earlier_xy, later_xy, ranks):  # type: ignore[no-untyped-def]
     """Return the distances (e, r) to the motions of certain *ranks* (r,), by distance at both ends taken together."""
     out, told = np.empty((len(k), len(ranks))), np.zeros(len(k), np.bool_)
-    found, least = _room(len(motions.here)), np.empty(ranks[-1] + 1)
+    found = _room(len(motions.here))
     for i in range(len(earlier_xy)):
-        radius, left = 2 * SEARCH_M, first[i + 1] - first[i]
+        radius, left = SEARCH_M, first[i + 1] - first[i]
         while left:
             near = _within(motions, earlier_xy[i, 0], earlier_xy[i, 1], radius, found)
             # what starts farther away is farther away altogether
@@ -246,31 +245,27 @@ def _most_alike(motions, first, k, earlier_xy, later_xy, ranks):  # type: ignore
             for e in range(first[i], first[i + 1]):
                 if told[e]:
                     continue
-                _least_sums(found, near, later_xy[k[e], 0], later_xy[k[e], 1], limit, least)
-                if least[-1] >= limit:
+                count = _sums_below(found, near, later_xy[k[e], 0], later_xy[k[e], 1], limit)
+                if count <= ranks[-1]:
                     continue
                 told[e] = True
                 left -= 1
-                for r in range(len(ranks)):
-                    out[e, r] = np.sqrt(least[ranks[r]])
+                for r in range(len(ranks) - 1, -1, -1):
+                    _select(found.sum, found.row, count, ranks[r])
+                    out[e, r], count = np.sqrt(found.sum[ranks[r]]), ranks[r]
             radius *= WIDER
     return out
 
 
 @njit(cache=True, nogil=True)
-def _least_sums(found, near, x, y, limit, least):  # type: ignore[no-untyped-def]
-    """Write the least sums of the squared distances at both ends, ascending; *limit* where fewer are below it."""
+def _sums_below(found, near, x, y, limit):  # type: ignore[no-untyped-def]
+    """Write the sums of the squared distances at both ends that are below the *limit*; returns how many there are."""
+    count = 0
     for s in range(near):
         dx, dy = found.x[s] - x, found.y[s] - y
-        found.sum[s] = found.square[s] + dx * dx + dy * dy
-    least[:] = limit
-    for s in range(near):
-        if found.sum[s] < least[-1]:
-            at = len(least) - 1
-            while at > 0 and least[at - 1] > found.sum[s]:
-                least[at] = least[at - 1]
-                at -= 1
-            least[at] = found.sum[s]
+        found.sum[count] = found.square[s] + dx * dx + dy * dy
+        count += found.sum[count] < limit
+    return count
 
 
 @njit(cache=True, nogil=True)

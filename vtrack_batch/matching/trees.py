@@ -21,7 +21,7 @@ from vtrack_batch.matching.bits import lowest
 from vtrack_batch.matching.candidates import Array, Index
 
 MOST_LEAVES = 32
-BATCH = 32
+BATCH = 64
 
 
 class Decision(NamedTuple):

@@ -110,7 +110,7 @@ def _judged(
     """
     a, b, c = rows
     earlier_xy, later_xy = s.xy[a:b], s.xy[b:c]
-    dt = float(s.t[b] - s.t[a])
+    dt = float(s.frame_s[s.frame[b]] - s.frame_s[s.frame[a]])
     neighbours = neighbours_of(edges, earlier_xy, later_xy, elapsed_s=dt, params=matching.neighbours)
     prior = place_density(edges, dt, matching, flow)
     colour = matching.colour if paint is None else paint.params
