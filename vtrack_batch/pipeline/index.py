@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+import pyarrow
 from numpy.typing import NDArray
 
 from vtrack_batch.archive.names import unescape
@@ -64,6 +65,8 @@ def make_index(survey: Survey, store: FileStore, culprits: Culprits) -> Index:
     Raises ``NoArchive`` when it is missing or holds no frame, ``ConfigError`` when no time can be told,
     ``StorageError`` when the disk under it fails.
     """
+    # of a million short texts Arrow's own allocator leaves twice as much memory in pieces as the system's
+    pyarrow.set_memory_pool(pyarrow.system_memory_pool())
     root = survey.resolve(survey.archive.root)
     found = scan_archive(survey, known=store)
     frames, unreadable = _hashed(root, found.files, store)
