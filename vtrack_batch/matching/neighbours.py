@@ -30,7 +30,7 @@ STILL_M = 2.0  # displacements below this have no direction: neighbours all arou
 MOST_VOTES = 150_000_000
 MOST_NEAR = 50_000_000
 CUT = 3.0  # kernels end at this many standard deviations
-MOST_BINS = 64
+MOST_BINS = 64  # of displacements along an axis: wider ones where these do not reach, so that tables stay small
 LEAST_ODDS, MOST_ODDS = np.exp(-30.0), np.exp(30.0)
 
 

@@ -194,7 +194,11 @@ def _chosen(pairs: list[LabelledPair], params: MatchingParams, tell: Tell) -> di
     settings = np.vstack([default, paper_grid(), logarithmic_grid()])
     settings = settings[settings.sum(axis=1) > 0]
     tell(f"{len(settings)} settings of A, B, C on {len(pairs)} pairs")
-    row = chosen_setting(sweep_rates(pairs, settings, params), settings, default)
+    rates = []
+    for number, pair in enumerate(pairs, 1):  # of busy traffic each takes a minute: people want to see it go on
+        rates.append(sweep_rates([pair], settings, params)[0])
+        tell(f"swept on {number} of {len(pairs)} pairs")
+    row = chosen_setting(np.array(rates), settings, default)
     names = ("a_delay", "b_neighbours", "c_opposite")
     return dict(zip(names, (round(float(value), 3) for value in settings[row]), strict=True))
 

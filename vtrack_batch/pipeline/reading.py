@@ -52,6 +52,7 @@ class FrameLog:
 
 
 _HELD_FRAMES, _HELD_BYTES = 34, 8_000_000
+"""So many frames of at most this size are kept decoded: all samples of a block and its looks, in less than 300 MB."""
 
 
 @dataclass(frozen=True)
