@@ -27,7 +27,7 @@ CELL_PX = 8
 """Pixels of a frame are moved in squares of this side."""
 
 _FACTOR = 2
-_FINEST_SCALE = 1
+_FLOW_FACTOR = 4
 _ITERATIONS = 6
 _STEPS_PER_PX = 16
 _STRIP_ROWS = 64
@@ -79,7 +79,7 @@ def common_picture(frames: Iterable[tuple[NDArray[np.uint8], Array]]) -> Grey:
         rows = slice(top, top + _STRIP_ROWS)
         low, high = take_ranks(np.stack([look[rows] for look in looks]), middle)
         picture[rows] = (low & high) + ((low ^ high) >> 1)  # their mean, in bytes
-    return picture
+    return reduce(picture, _FLOW_FACTOR // _FACTOR)
 
 
 def find_bend(pixels: NDArray[np.uint8], pose: Array, picture: Grey, *, params: RegistrationParams) -> Bend:
@@ -90,9 +90,10 @@ def find_bend(pixels: NDArray[np.uint8], pose: Array, picture: Grey, *, params: 
     cells = max(1, pixels.shape[0] // CELL_PX), max(1, pixels.shape[1] // CELL_PX)
     if min(pixels.shape[:2]) < _SMALLEST_PX:
         return Bend(np.zeros((*cells, 2), np.float32))
-    look = _laid(_look(pixels), pose, np.empty_like(picture), cv2.BORDER_REPLICATE)
+    there = np.empty([side * _FLOW_FACTOR // _FACTOR for side in picture.shape], np.uint8)
+    look = reduce(_laid(_look(pixels), pose, there, cv2.BORDER_REPLICATE), _FLOW_FACTOR // _FACTOR)
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
-    search.setFinestScale(_FINEST_SCALE)
+    search.setFinestScale(0)
     search.setGradientDescentIterations(_ITERATIONS)
     search.setVariationalRefinementIterations(0)
     search.setUseMeanNormalization(False)  # contrast is level
@@ -132,13 +133,13 @@ def _laid(look: Grey, pose: Array, there: Grey, border: int) -> Grey:
 
 def _smooth(flow: NDArray[np.float32], params: RegistrationParams) -> NDArray[np.float32]:
     """Return the median of *flow* over the window around each cell, in full pixels."""
-    rows, columns = (side * _FACTOR // CELL_PX for side in flow.shape[:2])
-    side = CELL_PX // _FACTOR
+    rows, columns = (side * _FLOW_FACTOR // CELL_PX for side in flow.shape[:2])
+    side = CELL_PX // _FLOW_FACTOR
     mean = cv2.resize(flow[: rows * side, : columns * side], (columns, rows), interpolation=cv2.INTER_AREA)
     window = 2 * (params.bend_window_px // (2 * CELL_PX)) + 1
     most = params.max_bend_px
     # Medians of large windows are quick for bytes: sixteenths of a pixel are fine enough.
-    levels = np.rint(np.clip(mean * _FACTOR, -most, most) * _STEPS_PER_PX + 128).astype(np.uint8)
+    levels = np.rint(np.clip(mean * _FLOW_FACTOR, -most, most) * _STEPS_PER_PX + 128).astype(np.uint8)
     middle = np.dstack([cv2.medianBlur(np.ascontiguousarray(part), window) for part in cv2.split(levels)])
     return np.asarray(cv2.blur((middle.astype(np.float32) - 128) / _STEPS_PER_PX, (3, 3)))
 
@@ -159,21 +160,28 @@ def _straighten(pixels, steps, straight):  # type: ignore[no-untyped-def]
     """Fill *straight* with *pixels* moved by *steps* (rows, columns, 2) int32 sixteenths of a pixel."""
     height, width = pixels.shape[:2]
     flat, out = pixels.reshape(height, 3 * width), straight.reshape(height, 3 * width)
-    for row in range(height):
-        i = min(row // CELL_PX, steps.shape[0] - 1)
-        for left in range(0, width, CELL_PX):
-            j = min(left // CELL_PX, steps.shape[1] - 1)
-            x, y = 16 * left + steps[i, j, 0], 16 * row + steps[i, j, 1]
-            column, top, u, v = x >> 4, y >> 4, x & 15, y & 15
-            count = min(CELL_PX, width - left)
-            if column >= 0 and column + count < width and top >= 0 and top + 1 < height:
-                upper, lower = flat[top, 3 * column :], flat[top + 1, 3 * column :]
-                a, b, c, d = (16 - u) * (16 - v), u * (16 - v), (16 - u) * v, u * v
-                target = out[row, 3 * left :]
-                for k in range(3 * count):
-                    target[k] = (a * upper[k] + b * upper[k + 3] + c * lower[k] + d * lower[k + 3] + 128) >> 8
+    for i in range(-(-height // CELL_PX)):
+        for j in range(-(-width // CELL_PX)):
+            first, left = i * CELL_PX, j * CELL_PX
+            step = steps[min(i, steps.shape[0] - 1), min(j, steps.shape[1] - 1)]
+            x, y = 16 * left + step[0], 16 * first + step[1]
+            column, top = x >> 4, y >> 4
+            whole = first + CELL_PX <= height and left + CELL_PX <= width
+            if whole and column >= 0 and column + CELL_PX < width and top >= 0 and top + CELL_PX < height:
+                u, v, right = x & 15, y & 15, 3 * (column + CELL_PX + 1)
+                # 32 bits are enough, and compilers take twice as many of them at a time.
+                a, b = np.int32((16 - u) * (16 - v)), np.int32(u * (16 - v))
+                c, d = np.int32((16 - u) * v), np.int32(u * v)
+                for row in range(CELL_PX):
+                    upper, lower = flat[top + row, 3 * column : right], flat[top + row + 1, 3 * column : right]
+                    target = out[first + row, 3 * left : 3 * (left + CELL_PX)]
+                    for k in range(3 * CELL_PX):
+                        above = np.int32(a * np.int32(upper[k]) + b * np.int32(upper[k + 3]))
+                        below = np.int32(c * np.int32(lower[k]) + d * np.int32(lower[k + 3]))
+                        target[k] = np.uint8(np.int32(above + below + np.int32(128)) >> np.int32(8))
             else:
-                _at_border(pixels, straight, row, left, count, x, y)
+                for row in range(first, min(first + CELL_PX, height)):
+                    _at_border(pixels, straight, row, left, min(CELL_PX, width - left), x, y + 16 * (row - first))
 
 
 @njit(cache=True, nogil=True)
