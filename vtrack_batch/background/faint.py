@@ -51,14 +51,22 @@ def add_faint(
     _raise(*seen, threshold, near, difference.evidence, difference.classes)
 
 
-def _held(evidence: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return which cells of pixels hold one that surely differs."""
-    rows, columns = (-(-side // _CELL) for side in evidence.shape)
-    sure = cv2.threshold(evidence, _SURE - 1, 255, cv2.THRESH_BINARY)[1]
-    sure = cv2.copyMakeBorder(
-        sure, 0, rows * _CELL - len(sure), 0, columns * _CELL - sure.shape[1], cv2.BORDER_CONSTANT, value=0
-    )
-    return np.asarray(cv2.resize(sure, (columns, rows), interpolation=cv2.INTER_AREA) > 0, np.uint8)
+@njit(cache=True, nogil=True)
+def _held(evidence):  # type: ignore[no-untyped-def]
+    """Return which cells of pixels hold one that surely differs: 1, else 0."""
+    height, width = evidence.shape
+    held = np.zeros((-(-height // _CELL), -(-width // _CELL)), np.uint8)
+    most = np.empty(width, np.uint8)
+    for i in range(held.shape[0]):
+        most[:] = 0
+        for r in range(i * _CELL, min((i + 1) * _CELL, height)):
+            row = evidence[r]
+            for c in range(width):
+                most[c] = row[c] if row[c] > most[c] else most[c]
+        for c in range(width):
+            if most[c] >= _SURE:
+                held[i, c // _CELL] = 1
+    return held
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -83,10 +83,16 @@ def _uncast(inner, cast, shadow_evidence):  # type: ignore[no-untyped-def]
     """Let shadow that is left in *inner* count like an object; return how many pixels do."""
     count = 0
     for r in range(inner.shape[0]):
-        for c in range(inner.shape[1]):
-            if cast[r, c] == 1 and inner[r, c] > 0:
-                inner[r, c] = min(FULL, int(inner[r, c] / shadow_evidence + 0.5))
-                count += 1
+        values, shaded, here = inner[r], cast[r], 0
+        # Most rows hold none: that is soon seen.
+        for c in range(len(values)):
+            here += (shaded[c] == 1) & (values[c] > 0)
+        if here == 0:
+            continue
+        for c in range(len(values)):
+            if shaded[c] == 1 and values[c] > 0:
+                values[c] = min(FULL, int(values[c] / shadow_evidence + 0.5))
+        count += here
     return count
 
 

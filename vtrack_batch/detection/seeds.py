@@ -63,7 +63,7 @@ def find_seeds(layers: Layers, px_per_m: tuple[float, float], step_m: float) -> 
         top, bottom = max(0, first - reach[0]), min(height, last + reach[0])
         part = layers.inner[layers.margin :, layers.margin : -layers.margin][top:bottom]
         around = cv2.blur(_counted(part), (window[1], window[0]))
-        found = np.argwhere(around[first - top : last - top : step[0], :: step[1]] >= round(_CORE * FULL))
+        found = _at_least(np.asarray(around[first - top : last - top]), step, round(_CORE * FULL))
         grid.append(found + np.array([first // step[0], 0]))
     return Seeds(np.concatenate(grid), step, core)
 
@@ -94,6 +94,22 @@ def _counted(inner):  # type: ignore[no-untyped-def]
     """Return what counts inside a box (h, w) uint8, 0 where hidden."""
     counted = np.empty(inner.shape, np.uint8)
     for r in range(inner.shape[0]):
-        for c in range(inner.shape[1]):
-            counted[r, c] = max(inner[r, c], 0)
+        values, counts = inner[r], counted[r]
+        for c in range(len(values)):
+            value = values[c]
+            counts[c] = np.uint8(value if value > 0 else np.int16(0))
     return counted
+
+
+@njit(cache=True, nogil=True)
+def _at_least(around, step, least):  # type: ignore[no-untyped-def]
+    """Return row and column (n, 2), counted in steps, where every *step*-th pixel of *around* is *least* or more."""
+    rows, columns = -(-around.shape[0] // step[0]), -(-around.shape[1] // step[1])
+    found, count = np.empty((rows * columns, 2), np.int64), 0
+    for i in range(rows):
+        row = around[i * step[0]]
+        for j in range(columns):
+            if row[j * step[1]] >= least:
+                found[count, 0], found[count, 1] = i, j
+                count += 1
+    return found[:count].copy()
