@@ -90,9 +90,9 @@ def test_the_common_picture_is_the_median_and_shows_no_passer_by():
     frames = [(view(seed=1), np.eye(3)), (view(seed=2, scene=passing), np.eye(3)), (view(seed=3), np.eye(3))]
     alone = common_picture(frames[:1]).astype(int)
     both = common_picture(frames).astype(int)
-    assert both.shape == (ROWS // 4, COLUMNS // 4)
+    assert both.shape == (ROWS // 2, COLUMNS // 2)
     assert np.abs(both - alone).mean() < 8
-    assert np.abs(common_picture(frames[1:2]).astype(int) - alone)[25:35, 50:65].mean() > 20
+    assert np.abs(common_picture(frames[1:2]).astype(int) - alone)[50:70, 100:130].mean() > 20
 
 
 def test_residual_is_that_of_the_straightened_frame():

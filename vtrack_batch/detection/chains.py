@@ -219,7 +219,7 @@ def _along(lines: Floats, counts: Floats, origin: Floats) -> Floats:
     longest = float(np.linalg.norm(np.diff(lines, axis=1), axis=2).max())
     part = np.linspace(0, 1, 2 + int(longest / _CELL_M), endpoint=False)[:, None]
     points = lines[:, :-1, None] + part * (lines[:, 1:, None] - lines[:, :-1, None])
-    cell = ((points - origin) // _CELL_M).astype(np.int64)
+    cell = np.floor((points - origin) / _CELL_M).astype(np.int64)
     return np.asarray(counts[cell[..., 1], cell[..., 0]].sum(axis=(1, 2)))
 
 

@@ -27,7 +27,7 @@ CELL_PX = 8
 """Pixels of a frame are moved in squares of this side."""
 
 _FACTOR = 2
-_FLOW_FACTOR = 4
+_FINEST_SCALE = 1
 _ITERATIONS = 6
 _STEPS_PER_PX = 16
 _STRIP_ROWS = 64
@@ -79,7 +79,7 @@ def common_picture(frames: Iterable[tuple[NDArray[np.uint8], Array]]) -> Grey:
         rows = slice(top, top + _STRIP_ROWS)
         low, high = take_ranks(np.stack([look[rows] for look in looks]), middle)
         picture[rows] = (low & high) + ((low ^ high) >> 1)  # their mean, in bytes
-    return reduce(picture, _FLOW_FACTOR // _FACTOR)
+    return picture
 
 
 def find_bend(pixels: NDArray[np.uint8], pose: Array, picture: Grey, *, params: RegistrationParams) -> Bend:
@@ -90,10 +90,9 @@ def find_bend(pixels: NDArray[np.uint8], pose: Array, picture: Grey, *, params: 
     cells = max(1, pixels.shape[0] // CELL_PX), max(1, pixels.shape[1] // CELL_PX)
     if min(pixels.shape[:2]) < _SMALLEST_PX:
         return Bend(np.zeros((*cells, 2), np.float32))
-    there = np.empty([side * _FLOW_FACTOR // _FACTOR for side in picture.shape], np.uint8)
-    look = reduce(_laid(_look(pixels), pose, there, cv2.BORDER_REPLICATE), _FLOW_FACTOR // _FACTOR)
+    look = _laid(_look(pixels), pose, np.empty_like(picture), cv2.BORDER_REPLICATE)
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
-    search.setFinestScale(0)
+    search.setFinestScale(_FINEST_SCALE)
     search.setGradientDescentIterations(_ITERATIONS)
     search.setVariationalRefinementIterations(0)
     search.setUseMeanNormalization(False)  # contrast is level
@@ -133,13 +132,13 @@ def _laid(look: Grey, pose: Array, there: Grey, border: int) -> Grey:
 
 def _smooth(flow: NDArray[np.float32], params: RegistrationParams) -> NDArray[np.float32]:
     """Return the median of *flow* over the window around each cell, in full pixels."""
-    rows, columns = (side * _FLOW_FACTOR // CELL_PX for side in flow.shape[:2])
-    side = CELL_PX // _FLOW_FACTOR
+    rows, columns = (side * _FACTOR // CELL_PX for side in flow.shape[:2])
+    side = CELL_PX // _FACTOR
     mean = cv2.resize(flow[: rows * side, : columns * side], (columns, rows), interpolation=cv2.INTER_AREA)
     window = 2 * (params.bend_window_px // (2 * CELL_PX)) + 1
     most = params.max_bend_px
     # Medians of large windows are quick for bytes: sixteenths of a pixel are fine enough.
-    levels = np.rint(np.clip(mean * _FLOW_FACTOR, -most, most) * _STEPS_PER_PX + 128).astype(np.uint8)
+    levels = np.rint(np.clip(mean * _FACTOR, -most, most) * _STEPS_PER_PX + 128).astype(np.uint8)
     middle = np.dstack([cv2.medianBlur(np.ascontiguousarray(part), window) for part in cv2.split(levels)])
     return np.asarray(cv2.blur((middle.astype(np.float32) - 128) / _STEPS_PER_PX, (3, 3)))
 
