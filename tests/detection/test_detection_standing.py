@@ -215,16 +215,53 @@ def test_nothing_stands_across_the_way_of_others(
     assert len(look(street, frames).score) == len(PARKED) - left
 
 
-@pytest.mark.parametrize(("leaves", "more"), [((60, 84, 42), 0), ((60, 64, 88), 1)])
-def test_what_is_green_must_look_more_like_a_vehicle(
-    street: tuple[Background, Examples, Place], leaves: tuple[int, int, int], more: int
+def may_be(street: tuple[Background, Examples, Place], image: np.ndarray, score: float = 1.0) -> bool:
+    """Whether a box of a car's size at PARKED[1] may be a vehicle in the picture *image*."""
+    boxes = np.array([[*PARKED[1][:2], 2.2 / GSD_M, 0.0, 0.0, 0.9 / GSD_M]])
+    return bool(plausible(street[0], image, street[2], boxes, np.array([score]), (1 / GSD_M, 1 / GSD_M))[0])
+
+
+@pytest.mark.parametrize(("paint", "kept"), [((60, 84, 42), False), ((88, 66, 72), True)])
+@pytest.mark.parametrize("aside_m", [0.0, 2.0, -2.0])
+def test_a_crown_is_green_beyond_the_size_of_a_vehicle(
+    street: tuple[Background, Examples, Place], aside_m: float, paint: tuple[int, int, int], kept: bool
+) -> None:
+    """A blotchy disc of 6 m, in the middle of the box or to one side: leaves, or the paint of something large."""
+    image = land()
+    image[156:] = (112, 113, 116)
+    disc = np.hypot(*(np.indices((HEIGHT, WIDTH)) - np.array([150.0 + aside_m / GSD_M, 150.0])[:, None, None])) < 10
+    blotches = np.random.default_rng(5).integers(-15, 16, (HEIGHT, WIDTH, 1))
+    image[disc] = (np.array(paint) + blotches)[disc]
+    assert may_be(street, image) == kept
+
+
+@pytest.mark.parametrize("paint", [(60, 84, 42), (40, 90, 50), (90, 92, 40)])
+def test_green_paint_ends_where_the_vehicle_does_though_a_lawn_is_beside_it(
+    street: tuple[Background, Examples, Place], paint: tuple[int, int, int]
 ) -> None:
     image = land()
-    draw(image, *PARKED[1], leaves)
-    boxes = np.array([[*PARKED[1][:2], 2.2 / GSD_M, 0.0, 0.0, 0.9 / GSD_M]])
-    for score, kept in ((0.6, more), (0.8, 1)):
-        may = plausible(street[0], image, street[2], boxes, np.array([score]), (1 / GSD_M, 1 / GSD_M))
-        assert may.sum() == kept
+    draw(image, *PARKED[1], paint)
+    assert may_be(street, image)
+
+
+@pytest.mark.parametrize(("score", "windows", "kept"), [(0.5, False, False), (0.5, True, True), (0.8, False, True)])
+def test_what_has_no_windows_must_surely_look_like_a_vehicle(
+    street: tuple[Background, Examples, Place], score: float, windows: bool, kept: bool
+) -> None:
+    image = land()
+    column, row, _ = PARKED[1]
+    if windows:
+        draw(image, *PARKED[1], PAINTS[2])
+    else:
+        image[round(row) - 3 : round(row) + 4, round(column) - 8 : round(column) + 9] = PAINTS[2]
+    assert may_be(street, image, score) == kept
+
+
+@pytest.mark.parametrize(("column", "found"), [(1.0, 0), (6.0, 1)])
+def test_a_vehicle_is_found_where_most_of_it_is_in_the_picture(column: float, found: int) -> None:
+    """A car is 15 px long: of the first 57 % can be seen, of the other 90 %."""
+    at = look(block(((column, 92.0, 0.0), *PARKED[1:3]))).boxes
+    assert len(at) == 2 + found
 
 
 def test_a_gap_between_vehicles_is_no_vehicle(street: tuple[Background, Examples, Place]) -> None:

@@ -20,7 +20,7 @@ from vtrack_batch.model.ranks import take_ranks
 
 _BUSY_COLUMNS = 256
 _POINT_STEP_PX = 3
-_UNSEEN_TOLERANCE = 255
+UNSEEN_TOLERANCE = 255
 _SHADOW_SAMPLES, _FEWEST_SHADOW_SAMPLES, _SHADOW_PIXELS = 7, 3, 60_000_000
 _WIDEST_STEP_PX, _POINTS = 8, 230_000
 _FEWEST_FOR_MODE = 5
@@ -55,7 +55,7 @@ class Background:
     @property
     def seen(self) -> NDArray[np.bool_]:
         """Where (H, W) bool the ground is known."""
-        return np.asarray(self.levels[:, :, 3] < _UNSEEN_TOLERANCE)
+        return np.asarray(self.levels[:, :, 3] < UNSEEN_TOLERANCE)
 
     @property
     def tolerance(self) -> NDArray[np.uint8]:
@@ -78,8 +78,8 @@ class Background:
         seen = cv2.resize(self.seen[:rows, :columns].astype(np.float32), size, interpolation=cv2.INTER_AREA) > _WHOLLY
         # The local range grows with the distance of the pixels.
         local = self.range_share * _local_range(np.ascontiguousarray(coarse[:, :, :3]))
-        tolerance = np.minimum(np.maximum(coarse[:, :, 3], local), _UNSEEN_TOLERANCE - 1)
-        coarse[:, :, 3] = np.where(seen, tolerance, _UNSEEN_TOLERANCE)
+        tolerance = np.minimum(np.maximum(coarse[:, :, 3], local), UNSEEN_TOLERANCE - 1)
+        coarse[:, :, 3] = np.where(seen, tolerance, UNSEEN_TOLERANCE)
         return np.asarray(coarse, np.uint8)
 
 
@@ -239,8 +239,8 @@ def _set_tolerance(
         # The cap keeps places open that are occupied most of the time: stop lines.
         sigma = np.maximum(_sigma(spread, (top, bottom)) - noise, 0) * np.float32(params.spread_factor)
         sigma = np.minimum(sigma, np.float32(params.spread_limit_levels)) + np.float32(params.range_share) * local_range
-        tolerance = np.minimum(sigma, _UNSEEN_TOLERANCE - 1)
-        levels[top:bottom, :, 3] = np.where(seen[top:bottom], tolerance, _UNSEEN_TOLERANCE)
+        tolerance = np.minimum(sigma, UNSEEN_TOLERANCE - 1)
+        levels[top:bottom, :, 3] = np.where(seen[top:bottom], tolerance, UNSEEN_TOLERANCE)
 
 
 def _sigma(spread: NDArray[np.uint8], rows: tuple[int, int]) -> NDArray[np.float32]:

@@ -14,14 +14,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vtrack_batch.background.learn import Background
+from vtrack_batch.background.learn import UNSEEN_TOLERANCE, Background
 from vtrack_batch.detection.appearance import describe, learn_appearance
 from vtrack_batch.detection.candidates import Candidates, grid_steps
 from vtrack_batch.detection.examples import Examples
 from vtrack_batch.detection.overlaps import stand_alone
 from vtrack_batch.detection.params import DetectionParams
 from vtrack_batch.detection.place import Place
-from vtrack_batch.detection.plausible import Driven, driven_over, levels, plausible
+from vtrack_batch.detection.plausible import Driven, driven_over, levels, plausible, visible
 from vtrack_batch.detection.scan import scan
 from vtrack_batch.model import homography
 from vtrack_batch.model.flags import DetectionFlag
@@ -70,7 +70,8 @@ def find_standing(
     if not (params.standing and place.learned) or len(looks) < params.fewest_examples:
         return _none()
     steps = grid_steps(params, metres_per_px)
-    picture = np.ascontiguousarray(background.ground(*steps)[:, :, :3])
+    ground = background.ground(*steps)
+    picture, seen = np.ascontiguousarray(ground[:, :, :3]), ground[:, :, 3] < UNSEEN_TOLERANCE
     px_per_m = (1 / metres_per_px[0] / steps[0], 1 / metres_per_px[1] / steps[1])
     near = _near_road(place, picture.shape[:2], px_per_m, params.standing_reach_m)
     if not near.any():
@@ -89,7 +90,8 @@ def find_standing(
         second = learn_appearance(np.concatenate([looks, again]), others[clear])
         score = second.score(windows)
     boxes = _boxes(at, along, size, px_per_m)
-    good = (score >= params.standing_score) & plausible(background, picture, place, boxes, score, px_per_m)
+    good = (score >= params.standing_score) & (visible(seen, boxes) >= params.visible_share)
+    good &= plausible(background, picture, place, boxes, score, px_per_m)
     boxes, score = boxes[good], score[good]
     alone = stand_alone(boxes, score, px_per_m)
     found = _measured(background, boxes[alone], score[alone], steps)
