@@ -178,3 +178,16 @@ def test_a_vehicle_lies_on_the_road_from_front_to_back(half_m: float, angle: flo
     assert select(
         one, np.eye(3), replace(place, chained=(np.zeros(0, np.int64),)), frame=0, params=PARAMS
     ).tolist() == [kept]
+
+
+@pytest.mark.parametrize(
+    ("half_m", "cut", "chained", "kept"),
+    [(2.2, True, False, True), (8.5, True, False, False), (8.5, True, True, True), (8.5, False, False, True)],
+)
+def test_a_long_body_that_the_border_cuts_must_drive(half_m: float, cut: bool, chained: bool, kept: bool) -> None:
+    """A car may wait at the border; a lorry that is cut there and never drives may be the corner of a roof."""
+    one = candidates([(60.0, 20.5, 0.0, 0.9)])
+    flags = np.full(1, int(DetectionFlag.TOUCHES_BORDER) * cut, np.int32)
+    one = replace(one, lx_px=one.lx_px * half_m / 2.2, flags=flags)
+    place = replace(learn(*archive()), chained=(np.arange(int(chained)),))
+    assert select(one, np.eye(3), place, frame=0, params=PARAMS).tolist() == [kept]

@@ -54,6 +54,9 @@ class DetectionParams(Params):
     visible_share: float = Field(
         0.6, gt=0, le=1, description="least share of a box inside the frame and on seen ground"
     )
+    cut_length_m: float = Field(
+        7.5, gt=0, description="longest box in no chain that may reach over the frame's border: roofs are cut there too"
+    )
     chain_score: float = Field(
         0.55, gt=0, le=1.5, description="least score of a candidate in a chain that teaches the road"
     )

@@ -137,14 +137,18 @@ def select(
     """Return which candidates (n,) bool of the frame with number *frame* in ``learn_place`` are taken for vehicles.
 
     On the road weak ones count, if front and back lie there too; elsewhere those that belong to a chain, and strict
-    ones unless most of them lie off the road. Where nothing was learned, strict ones count everywhere.
+    ones unless most of them lie off the road. Where nothing was learned, strict ones count everywhere. Long ones that
+    reach over the frame's border count if they belong to a chain: how they end is not seen, and roofs lie there too.
     """
     taken = candidates.score >= (params.strict_score if place.trusted_elsewhere else np.inf)
-    taken[place.chained[frame]] = True
+    chained = np.isin(np.arange(len(taken)), place.chained[frame])
     centre = _centres_m(candidates, frame_to_reference, place)
-    front = _SPAN * _fronts_m(candidates, frame_to_reference, place.metres_per_px)
-    on_road = place.on_road(centre) & place.on_road(centre + front) & place.on_road(centre - front)
-    return np.asarray(taken | (on_road & (candidates.score >= params.weak_score)))
+    front = _fronts_m(candidates, frame_to_reference, place.metres_per_px)
+    on_road = place.on_road(centre) & place.on_road(centre + _SPAN * front) & place.on_road(centre - _SPAN * front)
+    taken |= on_road & (candidates.score >= params.weak_score)
+    cut = (candidates.flags & int(DetectionFlag.TOUCHES_BORDER)) > 0
+    taken &= ~cut | (2 * np.linalg.norm(front, axis=1) <= params.cut_length_m)
+    return np.asarray(taken | chained)
 
 
 def flag_outside(candidates: Candidates, frame_to_reference: Array, place: Place) -> Candidates:
