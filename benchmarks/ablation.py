@@ -52,6 +52,7 @@ PARTS = (
     Part("weight of the rim of a box (detection)", {"detection": {"rim_weight": 0.0}}),
     Part("shadow as evidence (detection)", {"detection": {"shadow_evidence": 0.0, "shadow_weight": 0.0}}),
     Part("grey bodies by nine pixels together (background)", {"detection": {"faint_levels": 250.0}}),
+    Part("looking again for what is due (detection)", {"detection": {"again_score": 0.5}}),
     Part("directions of boxes by the lanes (detection)", {"detection": {"lane_frames": 0}}),
     Part("boxes of many sizes (detection)", {"detection": {"sizes_m": ((4.4, 1.8), (12.2, 2.5))}}),
     Part("second, sensitive round on the road (detection)", {"detection": {"weak_score": 0.6}}),

@@ -16,7 +16,8 @@ Steps
    another.
 3. ``place.select``: on the road weak candidates count as well; elsewhere only members of chains, and strict ones if
    most strict ones lie on the road (else they are roofs). No frame is decoded twice. With too few chains (few frames,
-   no traffic) strict candidates count everywhere.
+   no traffic) strict candidates count everywhere. ``again.seen_again``: where the frames before and after show a
+   vehicle that was due in between, still weaker candidates count.
 4. ``standing.find_standing``, once a block, by what the moving vehicles look like (``examples``, ``appearance``,
    ``scan``, ``plausible``): vehicles in the background itself; ``standing.with_standing`` adds them to the frames in
    which nothing else lies on their place, with flag IN_BACKGROUND.

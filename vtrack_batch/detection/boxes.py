@@ -8,6 +8,7 @@ be as dark as a shadow; but a shadow has something that casts it, so what no box
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from heapq import heapify, heappop, heappush
 
 import numpy as np
@@ -44,14 +45,21 @@ def fit_boxes(
     """Return boxes whose score is at least ``weak_score``, best first, in a picture with *px_per_m* (x, y).
 
     *tried* tells which directions are tried where, None = all everywhere. Then come boxes of at least ``dark_score``
-    that are made of shadow which nothing found before casts.
+    that are made of shadow which nothing found before casts, and in what is left those of at least ``again_score``.
     """
     layers = make_layers(difference, templates.margin, params.shadow_evidence)
-    boxes = _fitted(layers, templates, px_per_m, params, params.weak_score, tried)
+    boxes = [_fitted(layers, templates, px_per_m, params, params.weak_score, tried)]
+    left = layers.inner.copy()
     # A shadow has something that casts it: what no box explains is dark paint.
-    if _uncast(layers.inner, layers.cast, params.shadow_evidence) == 0:
-        return boxes
-    return np.concatenate([boxes, _fitted(layers, templates, px_per_m, params, params.dark_score, tried)])
+    if _uncast(layers.inner, layers.cast, params.shadow_evidence):
+        boxes.append(_fitted(layers, templates, px_per_m, params, params.dark_score, tried))
+    if params.again_score < params.weak_score:
+        left[layers.inner == _TAKEN] = _TAKEN
+        again = _fitted(replace(layers, inner=left), templates, px_per_m, params, params.again_score, tried)
+        # Larger boxes are tried sooner below a lower bar: what fits well only then stays doubtful.
+        again[:, 4] = np.minimum(again[:, 4], np.nextafter(params.weak_score, 0.0))
+        boxes.append(again)
+    return np.concatenate(boxes)
 
 
 def _fitted(

@@ -44,6 +44,12 @@ class DetectionParams(Params):
     shadow_weight: float = Field(0.25, ge=0, description="what a complete cast shadow adds to a box's score")
     shadow_reach_m: float = Field(1.2, gt=0, description="length of cast shadow that is looked for")
     weak_score: float = Field(0.5, gt=0, le=1, description="least score of a candidate on a known road")
+    again_score: float = Field(
+        0.4,
+        gt=0,
+        le=1,
+        description="least score of a candidate on a known road where a vehicle is due by the frames before and after",
+    )
     dark_score: float = Field(
         1.0,
         gt=0,
@@ -103,3 +109,7 @@ class DetectionParams(Params):
     fewest_examples: int = Field(
         40, ge=2, description="sightings of moving vehicles without which standing ones are not looked for"
     )
+
+    def alone(self) -> DetectionParams:
+        """Return the same for frames of which no neighbours are seen: nothing is due there."""
+        return self.model_copy(update={"again_score": self.weak_score})

@@ -15,6 +15,7 @@ from vtrack_batch.background.learn import Background, learn_background
 from vtrack_batch.background.stacks import Sample
 from vtrack_batch.completeness.table import INJECTIONS
 from vtrack_batch.config.survey import Survey
+from vtrack_batch.detection.again import seen_again
 from vtrack_batch.detection.candidates import Candidates, find_candidates
 from vtrack_batch.detection.examples import Examples
 from vtrack_batch.detection.ground import measure_on_ground
@@ -143,7 +144,7 @@ def _lanes(samples: Sequence[Sample], background: Background, block: Block, para
     chosen = [samples[i] for i in np.unique(np.linspace(0, len(samples) - 1, most).round().astype(int))]
     scale, poses = block.metres_per_px, [sample.frame_to_reference for sample in chosen]
     found = [
-        find_candidates(sample.pixels[:], pose, background, metres_per_px=scale, params=params)
+        find_candidates(sample.pixels[:], pose, background, metres_per_px=scale, params=params.alone())
         for sample, pose in zip(chosen, poses, strict=True)
     ]
     return learn_lanes(found, poses, background.levels.shape, metres_per_px=scale, params=params)
@@ -168,33 +169,33 @@ def _spread(block: Block, reader: Reader, count: int) -> list[FrameRef]:
 def _second_pass(block: Block, ground: Ground, references: References, reader: Reader, survey: Survey) -> Detected:
     """Register every frame, find candidates, tell which of them fit the block's place model."""
     background, lanes = ground.background, ground.lanes
+    params, scale = survey.detection, block.metres_per_px
     examples = Examples.of(len(block.unit.frames))
-    seen: list[tuple[FrameRef, Array, Bend | None, Candidates]] = []
-    for ref, laid, found in _candidates(block, ground, references, reader, survey):
-        examples.add(len(seen), laid.pixels, found, block.metres_per_px, survey.detection)
-        seen.append((ref, laid.registration.frame_to_reference, laid.bend, found))
+    seen: list[tuple[FrameRef, Array, Bend | None, Candidates, Candidates]] = []
+    for ref, laid, every in _candidates(block, ground, references, reader, survey):
+        faint = every.score < params.weak_score
+        found = every.take(~faint)
+        examples.add(len(seen), laid.pixels, found, scale, params)
+        seen.append((ref, laid.registration.frame_to_reference, laid.bend, found, every.take(faint)))
         del laid  # a large frame, before the next one is read
     if not seen:
         return Detected(block, background, lanes, None, [])
-    refs, poses, _, candidates = zip(*seen, strict=True)
+    refs, poses, bends, candidates, faints = zip(*seen, strict=True)
     times_s = np.array([(ref.t_utc - refs[0].t_utc) / np.timedelta64(1, "s") for ref in refs])
-    place = learn_place(
-        candidates,
-        poses,
-        times_s,
-        metres_per_px=block.metres_per_px,
-        params=survey.detection,
-        ground=background.levels,
-    )
+    place = learn_place(candidates, poses, times_s, metres_per_px=scale, params=params, ground=background.levels)
     driven = moving_boxes(candidates, poses, place)
-    standing = find_standing(
-        background, examples, place, driven, metres_per_px=block.metres_per_px, params=survey.detection
-    )
+    standing = find_standing(background, examples, place, driven, metres_per_px=scale, params=params)
+    chosen = [
+        select(f, p, place, frame=i, params=params) for i, (f, p) in enumerate(zip(candidates, poses, strict=True))
+    ]
+    taken = [found.take(rows) for found, rows in zip(candidates, chosen, strict=True)]
+    due = seen_again(taken, faints, poses, times_s, place, params=params)
     frames = []
-    for index, (ref, pose, bend, found) in enumerate(seen):
-        chosen = select(found, pose, place, frame=index, params=survey.detection)
-        kept = with_standing(found, chosen, standing, pose, block.size, block.metres_per_px)
-        frames.append(Seen(ref, pose, bend, flag_outside(kept, pose, place)))
+    for i, found in enumerate(candidates):
+        again = faints[i].take(due[i])
+        rows = np.concatenate([chosen[i], np.ones(len(again), np.bool_)])
+        kept = with_standing(found.joined(again), rows, standing, poses[i], block.size, scale)
+        frames.append(Seen(refs[i], poses[i], bends[i], flag_outside(kept, poses[i], place)))
     return Detected(block, background, lanes, place, frames)
 
 

@@ -147,7 +147,7 @@ class Copy:
         return pd.concat(tables, ignore_index=True)
 
     def _seen_again(self, sample: Sample, background: Background) -> Candidates:
-        place, pose, params = self.detected.place, sample.frame_to_reference, self.survey.detection
+        place, pose, params = self.detected.place, sample.frame_to_reference, self.survey.detection.alone()
         assert place is not None
         scale = self.detected.block.metres_per_px
         tried = self.detected.lanes.tried_in(pose) if self.detected.lanes else None
