@@ -42,7 +42,7 @@ def seen_again(
     if not place.learned:
         return due
     order = np.argsort(times_s, kind="stable")
-    known = [_placed(found, pose, place) for found, pose in zip(taken, poses, strict=True)]
+    known = [_by_x(*_placed(found, pose, place)) for found, pose in zip(taken, poses, strict=True)]
     for before, now, after in zip(order[:-2], order[1:-1], order[2:], strict=True):
         if not (times_s[before] < times_s[now] < times_s[after]):
             continue
@@ -64,19 +64,30 @@ def _placed(found: Candidates, pose: Array, place: Place) -> tuple[Array, Array,
     return homography.apply(pose, centre) * place.metres_per_px, axis, colour
 
 
+def _by_x(xy: Array, axis: Array, colour: Array) -> tuple[Array, Array, Array]:
+    order = np.argsort(xy[:, 0], kind="stable")
+    return xy[order], axis[order], colour[order]
+
+
 @njit(cache=True, nogil=True)
 def _due(xy, axis, colour, earlier, later, limits):  # type: ignore[no-untyped-def]
-    """Return which places (n, 2) lie where the way from one of the *earlier* to one of the *later* ones leads by."""
+    """Return which places (n, 2) lie where the way from one of the *earlier* to one of the *later* ones leads by.
+
+    Those of before and after come by x; only who is near enough is asked.
+    """
     share, reach, colour_limit = limits
-    due = np.zeros(len(xy), np.bool_)
+    due, earlier_x, later_x = np.zeros(len(xy), np.bool_), earlier[0][:, 0], later[0][:, 0]
+    farthest = (reach + _MISS_M) / max(share - _CHANGE, _CHANGE)
+    off = (_MISS_M + _CHANGE * farthest) / share
     for n in range(len(xy)):
-        for i in range(len(earlier[0])):
+        for i in range(np.searchsorted(earlier_x, xy[n, 0] - reach), np.searchsorted(earlier_x, xy[n, 0] + reach)):
             ax, ay = xy[n, 0] - earlier[0][i, 0], xy[n, 1] - earlier[0][i, 1]
             if due[n] or ax * ax + ay * ay > reach * reach:
                 continue
             if not _alike(axis[n], earlier[1][i], colour[n], earlier[2][i], colour_limit):
                 continue
-            for k in range(len(later[0])):
+            ahead = earlier[0][i, 0] + ax / share
+            for k in range(np.searchsorted(later_x, ahead - off), np.searchsorted(later_x, ahead + off)):
                 dx, dy = later[0][k, 0] - earlier[0][i, 0], later[0][k, 1] - earlier[0][i, 1]
                 away = np.hypot(dx, dy)
                 ex, ey = ax - share * dx, ay - share * dy
