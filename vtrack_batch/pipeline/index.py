@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-import pyarrow
 from numpy.typing import NDArray
 
 from vtrack_batch.archive.names import unescape
@@ -26,6 +25,7 @@ from vtrack_batch.model.known import Known, KnownFile
 from vtrack_batch.pipeline.culprits import Culprits
 from vtrack_batch.pipeline.ground import world_files
 from vtrack_batch.storage.hashes import FileStore
+from vtrack_batch.storage.memory import pack_tightly
 
 MOST_IO_ERRORS = 20
 """After so many files in a row that the disk refuses, it is the disk and not the files."""
@@ -65,8 +65,7 @@ def make_index(survey: Survey, store: FileStore, culprits: Culprits) -> Index:
     Raises ``NoArchive`` when it is missing or holds no frame, ``ConfigError`` when no time can be told,
     ``StorageError`` when the disk under it fails.
     """
-    # of a million short texts Arrow's own allocator leaves twice as much memory in pieces as the system's
-    pyarrow.set_memory_pool(pyarrow.system_memory_pool())
+    pack_tightly()
     root = survey.resolve(survey.archive.root)
     found = scan_archive(survey, known=store)
     frames, unreadable = _hashed(root, found.files, store)
