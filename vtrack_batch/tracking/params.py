@@ -55,7 +55,7 @@ class RegionTrackParams(Params):
 class WindowParams(Params):
     """How long sequences are divided."""
 
-    window_sightings: int = Field(300_000, ge=1000, description="a longer sequence is linked in windows of this size")
+    window_sightings: int = Field(150_000, ge=1000, description="a longer sequence is linked in windows of this size")
     context_frames: int = Field(24, ge=1, description="frames on both sides of a window that are looked at; or twice "
                                 "the time a vehicle may stay unseen, if that is more")  # fmt: skip
 
