@@ -141,12 +141,12 @@ class Copy:
             scale = float(np.mean(self.detected.block.metres_per_px))
             background = learn_background(whole, params=self.survey.background, metres_per_px=scale)
             tables = [
-                self._rows(n, injections, painted, self._seen_again(sample, background))
+                self._rows(n, injections, painted, self._detected_anew(sample, background))
                 for n, injections, painted, sample in zip(self.numbers, plan, done, samples, strict=True)
             ]
         return pd.concat(tables, ignore_index=True)
 
-    def _seen_again(self, sample: Sample, background: Background) -> Candidates:
+    def _detected_anew(self, sample: Sample, background: Background) -> Candidates:
         place, pose, params = self.detected.place, sample.frame_to_reference, self.survey.detection.alone()
         assert place is not None
         scale = self.detected.block.metres_per_px
