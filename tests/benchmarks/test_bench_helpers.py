@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import sys
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from benchmarks import jobs
 from benchmarks.noise import Noise, seen
 from benchmarks.page import markdown_table, write_section
 from benchmarks.tuning import joined, pair_scores
@@ -157,3 +160,22 @@ def test_a_broken_section_is_refused(tmp_path):
 
 def test_a_table_is_aligned():
     assert markdown_table(["a", "b"], [["x", "1"]]).splitlines() == ["| a | b |", "|---|---:|", "| x | 1 |"]
+
+
+def test_a_job_is_not_done_again_by_the_same_code(tmp_path, monkeypatch):
+    monkeypatch.setattr(jobs, "PROJECT", tmp_path)
+    (tmp_path / "benchmarks").mkdir()
+    source = tmp_path / "benchmarks" / "one.py"
+    for text, number, met in (("1", 2, [2]), ("1", 2, [2]), ("1", 3, [2, 3]), ("2", 2, [2, 3, 2])):
+        source.write_text(text)
+        jobs.fingerprint.cache_clear()
+        assert jobs.answer((_noted, (number, str(tmp_path / "met")))) == number * 10
+        assert json.loads((tmp_path / "met").read_text()) == met
+    jobs.fingerprint.cache_clear()
+
+
+def _noted(number, place):
+    place = Path(place)
+    met = json.loads(place.read_text()) if place.exists() else []
+    place.write_text(json.dumps([*met, number]))
+    return number * 10
