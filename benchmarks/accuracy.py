@@ -69,7 +69,7 @@ def measured() -> Iterator[tuple[str, Mapping[str, Any]]]:
         for seed in DEMO_SEEDS:
             folder = Path(place) / f"demo-{seed}"
             scenario = load_params(PROJECT / "configs" / "scenario-crossing.yaml", Scenario)
-            simulate(scenario.model_copy(update={"seed": seed}), folder, workers=2)
+            simulate(scenario.model_copy(update={"seed": seed, "days": 1}), folder, workers=2)
             yield f"simulated crossing, seed {seed}", run(folder / "survey.yaml", folder / "truth")
         for name, (archive, gsd_m) in ARCHIVES.items():
             if archive.is_dir():

@@ -69,6 +69,31 @@ def test_same_seed_same_bytes_whatever_the_workers(small: Path, tmp_path: Path) 
     assert digest(tmp_path / "again") == digest(small)
 
 
+def test_a_second_day_is_of_the_same_place_with_other_traffic(small: Path, tmp_path: Path) -> None:
+    summary = simulate(SMALL.model_copy(update={"days": 2}), tmp_path / "two")
+    assert summary["frames"] == 12
+    alone, both = digest(small / "frames"), digest(tmp_path / "two" / "frames")
+    assert alone.items() < both.items()
+    assert len(set(both.values())) == 12
+    for name in ("frames", "detections", "trajectories", "track_points"):
+        day, days = table(small, name), table(tmp_path / "two", name)
+        first = days.iloc[: len(day)]
+        pd.testing.assert_frame_equal(pd.DataFrame(first), pd.DataFrame(day), check_dtype=False)
+        second = days.iloc[len(day) :]
+        assert 0.6 * len(day) < len(second) < 1.7 * len(day), name
+        if "sequence" in days:
+            assert set(second["sequence"]).isdisjoint(first["sequence"])
+        if "vehicle_id" in days:
+            assert set(second["vehicle_id"]).isdisjoint(first["vehicle_id"])
+    t_utc = table(tmp_path / "two", "frames")["t_utc"]
+    assert (t_utc.iloc[6:].to_numpy() - t_utc.iloc[:6].to_numpy() == np.timedelta64(1, "D")).all()
+    assert len(poses(tmp_path / "two")) == 12
+    assert (tmp_path / "two" / "zones.geojson").read_bytes() == (small / "zones.geojson").read_bytes()
+    assert digest(tmp_path / "two")["truth/parked.csv"] == digest(small)["truth/parked.csv"]
+    ids = pd.read_parquet(tmp_path / "two" / "detections.parquet")["detection_id"]
+    assert ids.is_unique
+
+
 def test_other_seed_other_bytes(small: Path, tmp_path: Path) -> None:
     simulate(SMALL.model_copy(update={"seed": 12}), tmp_path / "other")
     first, second = digest(small), digest(tmp_path / "other")

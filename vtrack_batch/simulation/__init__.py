@@ -8,7 +8,7 @@ In: a `Scenario` (params.py): a built-in scene or the user's own SUMO network an
                         queues as Parquet with the columns of `model.tables` (detections also vehicle_id, standing_s,
                         luminance, visible_share, shadow_share); detection_keys: whose each detection is;
                         vehicles: what SUMO calls them; others: pedestrians and trams; poses.csv, parked.csv
-    sumo/               network, routes, SUMO's own trips and loop detectors below the gates
+    sumo/               network, routes, SUMO's own trips and loop detectors below the gates; day-2, ...: of later days
     zones.geojson       a gate where each road leaves the view, an approach area on each arm of each junction
     survey.yaml         ready for `vtrack-batch run`
     scenario.json       what all of it was made from

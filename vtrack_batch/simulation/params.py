@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from typing import Literal
 
 from pydantic import AwareDatetime, Field, model_validator
@@ -16,6 +16,9 @@ DEMAND_VPH = {
     "street": 700.0, "road": 4000.0, "congested": 3900.0, "crossing": 930.0, "roundabout": 400.0, "motorway": 4400.0,
     "grid": 390.0, "city": 640.0, "network": 400.0,
 }  # fmt: skip
+
+
+_DAY_TO_DAY = 7919  # far from the seeds that people take, which follow one another
 
 
 class DemandParams(Params):
@@ -85,7 +88,13 @@ class Scenario(Params):
     seed: int = Field(20260517, ge=0, lt=2**31, description="Everything random comes from this number.")
     start: AwareDatetime = Field(datetime(2026, 5, 17, 6, tzinfo=UTC), description="Time of the first frame.")
     time_zone: str = Field("Europe/Berlin", min_length=1, description="IANA zone written into the survey file.")
-    duration_s: float = Field(210.0, gt=0, description="Length of the archive.")
+    duration_s: float = Field(210.0, gt=0, description="Length of the archive, or of each of its days.")
+    days: int = Field(
+        1,
+        ge=1,
+        le=366,
+        description="Successive days that are filmed: the same place and hour, other traffic and flights.",
+    )
     warm_up_s: float = Field(240.0, ge=0, description="Traffic simulated before the first frame.")
     interval_s: float = Field(1.5, ge=0.02, le=60, description="Time between frames.")
     frames: bool = Field(True, description="Whether to render the frames; false writes truth and detections alone.")
@@ -101,9 +110,14 @@ class Scenario(Params):
             raise ValueError("routes and centre_m belong to a network of your own: name it as `network`")
         return self
 
+    def on_day(self, day: int) -> Scenario:
+        """Return the scenario of the one day that is so many after the first: other traffic, flight and noise."""
+        seed = (self.seed + day * _DAY_TO_DAY) % 2**31
+        return self.model_copy(update={"seed": seed, "start": self.start + timedelta(days=day), "days": 1})
+
     @property
     def frame_count(self) -> int:
-        """Number of frames in the archive, at least one."""
+        """Number of frames of a day, at least one."""
         return max(1, int(self.duration_s / self.interval_s + 1e-9))
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import shutil
 import warnings
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -55,17 +56,28 @@ class _Photo:
 
 @dataclass(frozen=True)
 class _Ground:
-    """What frames are taken of: an orthophoto whose CRS they keep, a mere background, or neither; and how."""
+    """What frames are taken of: an orthophoto whose CRS they keep, a mere background, or neither; each day's flight."""
 
     photo: _Photo | None
     background: _Photo | None
-    flight: Flight
+    flights: list[Flight]
     margin_px: int
 
     @property
     def ending(self) -> str:
         """Ending of the frames' names."""
         return "tif" if self.photo else "jpg"
+
+
+@dataclass(frozen=True)
+class _Day:
+    """What one day shows, the painter's tables of its frames, and its truth."""
+
+    scenario: Scenario
+    world: truth.World
+    camera: render.Camera
+    painted: list[Array]
+    found: dict[str, pd.DataFrame]
 
 
 def simulate(scenario: Scenario, out: str | Path, *, workers: int = 1, base: str | Path = ".") -> dict[str, Any]:
@@ -77,61 +89,85 @@ def simulate(scenario: Scenario, out: str | Path, *, workers: int = 1, base: str
     """
     out, base = Path(out), Path(base)
     sumo.home()
-    view = View(
-        scenario.camera, scenario.ground, scenario.light, scenario.seed, scenario.interval_s, scenario.frame_count
-    )
-    ground = _read_ground(scenario, view, base)
+    days = [scenario.on_day(number) for number in range(scenario.days)]
+    views = [View(day.camera, day.ground, day.light, day.seed, day.interval_s, day.frame_count) for day in days]
+    ground = _read_ground(scenario, views, base)
     fresh = _make_folders(scenario, out)
     try:
-        stage, places, fleet, moved, net = _traffic(scenario, out, base, ground)
+        stage, places, net, driven = _traffic(scenario, days, out, base, ground)
     except ConfigError:
         if fresh:
             shutil.rmtree(out)
         raise
-    names, t_utc = _names_and_times(scenario, ground.ending)
-    states = traffic.states_at(moved, view.t_s)
-    camera = render.Camera(view, stage, ground.flight, _scenery(scenario, view, stage, net, ground))
-    tables = _painter_tables(camera, fleet, states)
-    world = truth.World(
-        places, fleet, moved, states, stage, ground.flight, names, t_utc,
-        f"{PLATFORM}/{t_utc[0]:%Y%m%dT%H%M%SZ}", scenario.time_zone,
-    )  # fmt: skip
-    seen = truth.sightings(world, camera, tables)
-    found = truth.truth_tables(world, seen, bin_s=TrafficParams().bin_s)
-    _write_truth(out, world, found, camera)
-    _write_detections(out, scenario, world, found)
+    scenery = _scenery(scenario, views[0], stage, net, ground)
+    cameras = [render.Camera(view, stage, flight, scenery) for view, flight in zip(views, ground.flights, strict=True)]
+    shown = [
+        _day(day, camera, traffic_of_day, places, ground.ending)
+        for day, camera, traffic_of_day in zip(days, cameras, driven, strict=True)
+    ]
+    found = {name: _all(day.found[name] for day in shown) for name in shown[0].found}
+    _write_truth(out, shown, found)
+    _write_detections(out, shown)
     (out / "zones.geojson").write_text(zones.zones_geojson(places, stage), encoding="utf-8")
     _write_survey(out, scenario, stage, ground.ending)
     if scenario.frames:
-        _write_frames(out, camera, tables, names, ground, workers)
-    return _summary(out, scenario, found, len(camera.scenery.parked.xy_m))
+        for day in shown:
+            _write_frames(out, day, ground, workers)
+    return _summary(out, scenario, found, len(scenery.parked.xy_m))
+
+
+def _day(
+    scenario: Scenario, camera: render.Camera, driven: tuple[Fleet, traffic.Motion], places: Places, ending: str
+) -> _Day:
+    """Tell what a *camera* sees of a day's traffic."""
+    fleet, moved = driven
+    names, t_utc = _names_and_times(scenario, ending)
+    states = traffic.states_at(moved, camera.view.t_s)
+    painted = _painter_tables(camera, fleet, states)
+    world = truth.World(
+        places, fleet, moved, states, camera.stage, camera.flight, names, t_utc,
+        f"{PLATFORM}/{t_utc[0]:%Y%m%dT%H%M%SZ}", scenario.time_zone,
+    )  # fmt: skip
+    seen = truth.sightings(world, camera, painted)
+    return _Day(scenario, world, camera, painted, truth.truth_tables(world, seen, bin_s=TrafficParams().bin_s))
+
+
+def _all(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
+    """Return the rows of all days, in their order."""
+    first, *more = tables
+    return pd.concat([first, *more], ignore_index=True) if more else first
 
 
 def _traffic(
-    scenario: Scenario, out: Path, base: Path, ground: _Ground
-) -> tuple[Stage, Places, Fleet, traffic.Motion, RoadNet]:
+    scenario: Scenario, days: list[Scenario], out: Path, base: Path, ground: _Ground
+) -> tuple[Stage, Places, RoadNet, list[tuple[Fleet, traffic.Motion]]]:
+    """Build the roads, and drive on them each day."""
     net_file = driving.network(scenario, out / "sumo", base=base, reach_m=_reach_m(scenario, ground))
     net = read_net(net_file)
     stage = _stage(scenario, ground, net)
     places = find_places(net, stage)
-    driven = driving.drive(scenario, out / "sumo", base=base, net=net, net_file=net_file, places=places)
-    return stage, places, *driven, net
+    driven = []
+    for number, day in enumerate(days, 1):
+        folder = out / "sumo" if number == 1 else out / "sumo" / f"day-{number}"
+        folder.mkdir(exist_ok=True)
+        driven.append(driving.drive(day, folder, base=base, net=net, net_file=net_file, places=places))
+    return stage, places, net, driven
 
 
-def _read_ground(scenario: Scenario, view: View, base: Path) -> _Ground:
-    """Read the pictures that the scenario names, and fly over them."""
+def _read_ground(scenario: Scenario, views: list[View], base: Path) -> _Ground:
+    """Read the pictures that the scenario names, and fly over them each day."""
     photo = _read_photo(base / scenario.ground.orthophoto) if scenario.ground.orthophoto else None
     behind = scenario.ground.background
     background = _read_photo(base / behind, projected=False) if behind and photo is None else None
     size = (scenario.camera.width_px, scenario.camera.height_px)
     if photo is None:
-        return _Ground(None, background, fly(view, size_px=size, rigid=False), 0)
+        return _Ground(None, background, [fly(view, size_px=size, rigid=False) for view in views], 0)
     height, width = photo.rgb.shape[:2]
-    flight = fly(view, size_px=(width, height), rigid=True)
-    margin = int(np.ceil(np.abs(flight.poses[:, :2, 2]).max())) + 2
+    flights = [fly(view, size_px=(width, height), rigid=True) for view in views]
+    margin = int(np.ceil(max(np.abs(flight.poses[:, :2, 2]).max() for flight in flights))) + 2
     if min(width, height) - 2 * margin < 64:
         raise ConfigError(f"orthophoto: {width} x {height} px leave no room for a drift of {margin} px; lower drift_px")
-    return _Ground(photo, None, flight, margin)
+    return _Ground(photo, None, flights, margin)
 
 
 def _read_photo(path: Path, *, projected: bool = True) -> _Photo:
@@ -238,23 +274,32 @@ def _names_and_times(scenario: Scenario, ending: str) -> tuple[list[str], pd.Dat
     return [f"{scenario.name}_{stamp}Z.{ending}" for stamp in stamps], t_utc
 
 
-def _write_truth(out: Path, world: truth.World, tables: dict[str, pd.DataFrame], camera: render.Camera) -> None:
+def _write_truth(out: Path, days: list[_Day], tables: dict[str, pd.DataFrame]) -> None:
+    stage = days[0].camera.stage
     for name, table in tables.items():
         path = out / "truth" / f"{name}.parquet"
         if "geometry" in table:
-            geopandas.GeoDataFrame(table, geometry="geometry", crs=world.stage.crs).to_parquet(path, index=False)
+            geopandas.GeoDataFrame(table, geometry="geometry", crs=stage.crs).to_parquet(path, index=False)
         else:
             table.to_parquet(path, index=False)
-    seen = np.isin(world.fleet.ids, tables["trajectories"]["vehicle_id"].to_numpy(object))
-    known = {"vehicle_id": world.fleet.ids[seen], "sumo_id": np.array(world.fleet.names, object)[seen]}
-    pd.DataFrame(known).sort_values("vehicle_id").to_parquet(out / "truth" / "vehicles.parquet", index=False)
-    others = [render.others(camera, k).assign(t_utc=world.t_utc[k]) for k in range(camera.view.frame_count)]
+    known = _all(_drivers(day) for day in days)
+    known.sort_values("vehicle_id").to_parquet(out / "truth" / "vehicles.parquet", index=False)
+    others = [
+        render.others(day.camera, k).assign(t_utc=t_utc) for day in days for k, t_utc in enumerate(day.world.t_utc)
+    ]
     pd.concat(others, ignore_index=True).to_parquet(out / "truth" / "others.parquet", index=False)
     letters = [f"h{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)]
-    poses = pd.DataFrame(world.flight.poses.reshape(-1, 9), columns=letters)
+    poses = pd.DataFrame(np.concatenate([day.camera.flight.poses.reshape(-1, 9) for day in days]), columns=letters)
     poses.insert(0, "frame", np.arange(len(poses)))
     poses.to_csv(out / "truth" / "poses.csv", index=False, lineterminator="\n")
-    _write_parked(out, world.stage, camera.scenery.parked)
+    _write_parked(out, stage, days[0].camera.scenery.parked)
+
+
+def _drivers(day: _Day) -> pd.DataFrame:
+    """Return what SUMO calls the vehicles that are seen."""
+    fleet = day.world.fleet
+    seen = np.isin(fleet.ids, day.found["trajectories"]["vehicle_id"].to_numpy(object))
+    return pd.DataFrame({"vehicle_id": fleet.ids[seen], "sumo_id": np.array(fleet.names, object)[seen]})
 
 
 def _write_parked(out: Path, stage: Stage, parked: Parked) -> None:
@@ -272,17 +317,20 @@ def _write_parked(out: Path, stage: Stage, parked: Parked) -> None:
     ).round(4).to_csv(out / "truth" / "parked.csv", index=False, lineterminator="\n")
 
 
-def _write_detections(out: Path, scenario: Scenario, world: truth.World, tables: dict[str, pd.DataFrame]) -> None:
+def _write_detections(out: Path, days: list[_Day]) -> None:
     """Write what a detector would give beside the truth's folder, and whose they are inside it."""
-    found, key = detector.detected(
-        tables["detections"],
-        tables["frames"],
-        (world.stage.reference_to_ground, world.flight.poses),
-        params=scenario.detector,
-        rng=np.random.default_rng([scenario.seed, _DETECTOR]),
-    )
-    found.to_parquet(out / "detections.parquet", index=False)
-    key.to_parquet(out / "truth" / "detection_keys.parquet", index=False)
+    made = [
+        detector.detected(
+            day.found["detections"],
+            day.found["frames"],
+            (day.camera.stage.reference_to_ground, day.camera.flight.poses),
+            params=day.scenario.detector,
+            rng=np.random.default_rng([day.scenario.seed, _DETECTOR]),
+        )
+        for day in days
+    ]
+    _all(found for found, _ in made).to_parquet(out / "detections.parquet", index=False)
+    _all(key for _, key in made).to_parquet(out / "truth" / "detection_keys.parquet", index=False)
 
 
 def _write_survey(out: Path, scenario: Scenario, stage: Stage, ending: str) -> None:
@@ -298,12 +346,12 @@ def _write_survey(out: Path, scenario: Scenario, stage: Stage, ending: str) -> N
     (out / "survey.yaml").write_text(text.getvalue(), encoding="utf-8")
 
 
-def _write_frames(
-    out: Path, camera: render.Camera, tables: list[Array], names: list[str], ground: _Ground, workers: int
-) -> None:
+def _write_frames(out: Path, day: _Day, ground: _Ground, workers: int) -> None:
+    camera, names = day.camera, day.world.paths
+
     def one(k: int) -> None:
         rng = np.random.Generator(np.random.SFC64([camera.view.seed, _FRAME, k]))
-        image = render.render(camera, k, tables[k], rng=rng)
+        image = render.render(camera, k, day.painted[k], rng=rng)
         path = out / "frames" / names[k]
         if ground.photo is None:
             quality = camera.view.camera.jpeg_quality
@@ -336,11 +384,11 @@ def _summary(out: Path, scenario: Scenario, tables: dict[str, pd.DataFrame], par
     known = (trips["origin"] != "unknown") & (trips["destination"] != "unknown")
     return {
         "out": str(out),
-        "frames": scenario.frame_count,
+        "frames": len(tables["frames"]),
         "interval_s": scenario.interval_s,
         "vehicles": len(tables["trajectories"]),
-        "vehicles_per_frame": round(float(len(tables["detections"]) / scenario.frame_count), 1),
-        "fewest_in_a_frame": int(per_frame.min()) if len(per_frame) == scenario.frame_count else 0,
+        "vehicles_per_frame": round(float(len(tables["detections"]) / len(tables["frames"])), 1),
+        "fewest_in_a_frame": int(per_frame.min()) if len(per_frame) == len(tables["frames"]) else 0,
         "trips_from_gate_to_gate": int(known.sum()),
         "mean_moving_speed_kmh": round(float(moving.mean() * 3.6), 1) if len(moving) else None,
         "parked_cars": parked,
