@@ -52,13 +52,18 @@ class Paint:
         every = max(1, len(population_rgb) // sample)
         # sorted, so that the sample does not depend on the order of rows
         ordered = population_rgb[np.lexsort(population_rgb.T)] if len(population_rgb) else np.zeros((1, 3))
-        self._population = opponent(ordered[::every])
+        self._sampled = ordered[::every]
+        self._population = opponent(self._sampled)
         self.params = params
         clean, outlier = np.log1p(-params.outlier_share) - 1.5 * np.log(2 * np.pi), np.log(params.outlier_share)
         self.noise = np.array(
             [params.brightness_sigma, params.gain_sigma, params.chroma_sigma, params.outlier_share, clean, outlier]
         )
         """What ``log_same_paint`` needs to know of the noise."""
+
+    def under(self, params: ColourParams) -> Paint:
+        """Return the same population judged under other spreads."""
+        return Paint(self._sampled, params, sample=len(self._sampled))
 
     def log_density(self, rgb: Array) -> Array:
         """Return the log density (n,) of the colours *rgb* (n, 3) in the population, in opponent axes."""

@@ -62,17 +62,29 @@ def assign(i: Index, k: Index, gain: Array) -> Mask:
             picked[left[_solved(row, col, worth)]] = True
             break
         picked[left[claims]] = True
-        left = left[~(np.isin(row, row[claims]) | np.isin(col, col[claims]))]
+        gone_i, gone_k = np.zeros(row.max() + 1, bool), np.zeros(col.max() + 1, bool)
+        gone_i[row[claims]], gone_k[col[claims]] = True, True
+        left = left[~(gone_i[row] | gone_k[col])]
     return picked
 
 
 def _codes(values: Index) -> Index:
-    return np.unique(values, return_inverse=True)[1]
+    """Number the values (e,), none negative, by their rank; without sorting."""
+    return np.asarray((np.cumsum(_among(values)) - 1)[values])
 
 
 def _first_of_each(values: Index) -> Index:
-    """Return the ascending positions at which each value occurs first."""
-    return np.sort(np.unique(values, return_index=True)[1])
+    """Return the ascending positions at which each value, none negative, occurs first."""
+    first = np.full(values.max(initial=-1) + 1, -1)
+    first[values[::-1]] = np.arange(len(values))[::-1]  # of many on one place the last one stays
+    return np.sort(first[first >= 0])
+
+
+def _among(values: Index) -> Mask:
+    """Tell which numbers, from 0 to the greatest, are among the *values*."""
+    among = np.zeros(values.max(initial=-1) + 1, bool)
+    among[values] = True
+    return among
 
 
 @njit(cache=True, nogil=True)

@@ -19,7 +19,7 @@ PLACE_RANK = 8  # of the motion whose distance tells how well a place is known
 ALIKE_M, ALIKE_MPS = 4.0, 5.0  # a motion is like another up to this distance, plus this much a second
 UNKNOWN_M = 6.0  # places farther than this from the 8th motion are not known
 PLACE_M = 4.0  # how far they speak (Gaussian sigma)
-SEARCH_M, WIDER = 8.0, 2.0  # motions are first sought so near; so many times as far, if these are too few
+SEARCH_M, WIDER = 8.0, 1.5  # motions are first sought so near; so many times as far, if these are too few
 SQUARE_M, MOST_SQUARES = 4.0, 250_000  # motions are sorted into squares of this side, or larger ones
 NOTHING = 50.0  # squared distance, in variances, from which on a vote adds nothing
 
@@ -245,7 +245,7 @@ def _most_alike(motions, first, k, earlier_xy, later_xy, ranks):  # type: ignore
             for e in range(first[i], first[i + 1]):
                 if told[e]:
                     continue
-                count = _sums_below(found, near, later_xy[k[e], 0], later_xy[k[e], 1], limit)
+                count = _sums_below(found, near, later_xy[k[e], 0], later_xy[k[e], 1], limit, ranks[-1])
                 if count <= ranks[-1]:
                     continue
                 told[e] = True
@@ -258,12 +258,24 @@ def _most_alike(motions, first, k, earlier_xy, later_xy, ranks):  # type: ignore
 
 
 @njit(cache=True, nogil=True)
-def _sums_below(found, near, x, y, limit):  # type: ignore[no-untyped-def]
-    """Write the sums of the squared distances at both ends that are below the *limit*; returns how many there are."""
-    count = 0
+def _sums_below(found, near, x, y, limit, least):  # type: ignore[no-untyped-def]
+    """Write the least sums of the squared distances at both ends: more than *least*, if so many are below the *limit*.
+
+    Returns how many there are.
+    """
+    half, quarter = limit / 2, limit / 4
+    below, below_half, below_quarter, count = 0, 0, 0, 0
     for s in range(near):
         dx, dy = found.x[s] - x, found.y[s] - y
-        found.sum[count] = found.square[s] + dx * dx + dy * dy
+        found.sum[s] = found.square[s] + dx * dx + dy * dy
+        below += found.sum[s] < limit
+        below_half += found.sum[s] < half
+        below_quarter += found.sum[s] < quarter
+    if below <= least:
+        return below
+    limit = quarter if below_quarter > least else half if below_half > least else limit
+    for s in range(near):
+        found.sum[count] = found.sum[s]
         count += found.sum[count] < limit
     return count
 

@@ -156,11 +156,14 @@ def _crowded(xy, bands, most):  # type: ignore[no-untyped-def]
 class Windows(NamedTuple):
     """Which edges of a vehicle go about as far as another edge: sets of bits, 32 edges of one owner to the word.
 
-    An edge falls into the bins ``bin_x`` and ``bin_y`` (e,); the bits of ``x[word, bin]`` are the edges in this bin
-    of x or in one beside it. The words of owner j begin at ``word[j]``.
+    An edge falls into the bins ``bin_x`` and ``bin_y`` (e,); the bits of ``x[bin, word]`` are the edges in this bin
+    of x or in one beside it. The words of owner j begin at ``word[j]``, one at least; ``first`` (w,) is the first edge
+    of each, and ``leads`` (w,) is 1 for an owner's first word, 0 for its others.
     """
 
     word: Index
+    first: Index
+    leads: Array
     bin_x: NDArray[np.int32]
     bin_y: NDArray[np.int32]
     x: NDArray[np.uint32]
@@ -175,16 +178,20 @@ def _votes(order, owner, d, first, windows, xy, bands, scale, start, stop, by, w
     """
     spread, along, across = scale
     peak, narrow = 1 / (2 * np.pi * spread**2), 1 / spread**2
+    words = len(windows.first)
     other, rx, ry = np.empty(len(xy), np.int64), np.empty(len(xy)), np.empty(len(xy))
-    z, who, place = np.empty(len(xy)), np.empty(len(xy), np.int64), np.empty(len(xy))
+    here, at_x, at_y = np.empty(words, np.int64), np.empty(words), np.empty(words)
+    z, who, place, found = np.empty(words), np.empty(words, np.int64), np.empty(words), np.empty(words, np.int64)
     square, share = np.empty(64), np.empty(64)
     i, near, room = -1, 0, 0
     for e in range(done, len(order)):
         if owner[e] != i:
-            i = owner[e]
-            near, room = others_near(i, xy, bands, other, rx, ry), 0
-            for c in range(near):
+            i, near, room = owner[e], 0, 0
+            for c in range(others_near(i, xy, bands, other, rx, ry)):
                 room += first[other[c] + 1] - first[other[c]]
+                for word in range(windows.word[other[c]], windows.word[other[c] + 1]):
+                    here[near], at_x[near], at_y[near] = word, rx[c], ry[c]
+                    near += 1
             if room > len(square):
                 square, share = np.empty(2 * room), np.empty(2 * room)
         if at + room > len(by):
@@ -196,29 +203,30 @@ def _votes(order, owner, d, first, windows, xy, bands, scale, start, stop, by, w
         ux, uy = (1.0, 0.0) if still else (dx / length, dy / length)
         per_u, per_v = 1 / along, 1 / (along if still else across)
         for c in range(near):
-            u, v = (rx[c] * ux + ry[c] * uy) * per_u, (rx[c] * uy - ry[c] * ux) * per_v
+            u, v = (at_x[c] * ux + at_y[c] * uy) * per_u, (at_x[c] * uy - at_y[c] * ux) * per_v
             z[c] = u * u + v * v
         inside = 0
         for c in range(near):
-            who[inside], place[inside] = other[c], z[c]
+            who[inside], place[inside] = here[c], z[c]
             inside += z[c] <= CUT * CUT
         for n in range(inside):
             place[n] = bell(place[n])
-        total, start[order[e]], count = 0.0, at, 0
-        bin_x, bin_y = windows.bin_x[e], windows.bin_y[e]
+        alike_x, alike_y = windows.x[windows.bin_x[e]], windows.y[windows.bin_y[e]]
+        total, start[order[e]], count, speaking = 0.0, at, 0, 0
         for n in range(inside):
-            j, f = who[n], first[who[n]]
-            total += place[n]
-            for word in range(windows.word[j], windows.word[j + 1]):
-                alike = windows.x[word, bin_x] & windows.y[word, bin_y]
-                while alike:
-                    g = f + lowest(alike)
-                    alike &= alike - np.uint32(1)
-                    x, y = d[g, 0] - dx, d[g, 1] - dy
-                    q = (x * x + y * y) * narrow
-                    by[at + count], square[count], share[count] = order[g], q, peak * place[n]
-                    count += q <= CUT * CUT
-                f += 32
+            total += place[n] * windows.leads[who[n]]
+            found[speaking] = n
+            speaking += (alike_x[who[n]] & alike_y[who[n]]) != 0
+        for s in range(speaking):
+            n = found[s]
+            f, weighed, alike = windows.first[who[n]], peak * place[n], alike_x[who[n]] & alike_y[who[n]]
+            while alike:
+                g = f + lowest(alike)
+                alike &= alike - np.uint32(1)
+                x, y = d[g, 0] - dx, d[g, 1] - dy
+                q = (x * x + y * y) * narrow
+                by[at + count], square[count], share[count] = order[g], q, weighed
+                count += q <= CUT * CUT
         for n in range(count):
             weight[at + n] = share[n] * bell(square[n])
         at += count
@@ -231,18 +239,24 @@ def _windows(owner, d, first, cut):  # type: ignore[no-untyped-def]
     """Sort the edges, given by owner, into bins as wide as the *cut*, or wider where there were too many."""
     word = np.zeros(len(first), np.int64)
     for j in range(len(first) - 1):
-        word[j + 1] = word[j] + (first[j + 1] - first[j] + 31) // 32
+        word[j + 1] = word[j] + max(1, (first[j + 1] - first[j] + 31) // 32)
+    begin, leads = np.empty(word[-1], np.int64), np.zeros(word[-1])
+    for j in range(len(first) - 1):
+        leads[word[j]] = 1.0
+        for w in range(word[j], word[j + 1]):
+            begin[w] = first[j] + 32 * (w - word[j])
+    bins = np.empty((2, len(d)), np.int32)
     bins = np.empty((2, len(d)), np.int32)
     for axis in range(2):
         low = d[:, axis].min()
         width = max(cut, (d[:, axis].max() - low) / MOST_BINS)
         for e in range(len(d)):
             bins[axis, e] = 1 + int((d[e, axis] - low) / width)
-    x, y = np.zeros((word[-1], bins[0].max() + 2), np.uint32), np.zeros((word[-1], bins[1].max() + 2), np.uint32)
+    x, y = np.zeros((bins[0].max() + 2, word[-1]), np.uint32), np.zeros((bins[1].max() + 2, word[-1]), np.uint32)
     for e in range(len(d)):
         nth = e - first[owner[e]]
         at, bit = word[owner[e]] + nth // 32, np.uint32(1) << np.uint32(nth % 32)
         for beside in range(-1, 2):
-            x[at, bins[0, e] + beside] |= bit
-            y[at, bins[1, e] + beside] |= bit
-    return Windows(word, bins[0], bins[1], x, y)
+            x[bins[0, e] + beside, at] |= bit
+            y[bins[1, e] + beside, at] |= bit
+    return Windows(word, begin, leads, bins[0], bins[1], x, y)

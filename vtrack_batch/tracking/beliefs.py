@@ -83,6 +83,25 @@ def _grouped(owner, n):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
+def distinct(i, k, n):  # type: ignore[no-untyped-def]
+    """Return the row (d,) of the first of each link between sightings *i* and *k* (e,) of *n*, in order of i and k."""
+    start, order = _grouped(i, n)
+    rows, count = np.empty(len(i), np.int64), 0
+    for h in range(n):
+        for s in range(start[h], start[h + 1]):  # few belong to one sighting: each is put where it belongs
+            row, at = order[s], s
+            while at > start[h] and k[order[at - 1]] > k[row]:
+                order[at] = order[at - 1]
+                at -= 1
+            order[at] = row
+        for s in range(start[h], start[h + 1]):
+            if s == start[h] or k[order[s]] != k[order[s - 1]]:
+                rows[count] = order[s]
+                count += 1
+    return rows[:count]
+
+
+@njit(cache=True, nogil=True)
 def _density(dx, dy, grown, jolt, motion):  # type: ignore[no-untyped-def]
     """Density (1/m2) of a sighting (dx, dy) off, of variance *grown* but for the jolts of driving, usual or rough."""
     half, usual, rough = 0.5 * (dx * dx + dy * dy), grown + jolt, grown + jolt * motion[1]
@@ -132,11 +151,12 @@ def _alike(i, k, shared, born, noise):  # type: ignore[no-untyped-def]
 def _messages(order, near, far, into_start, into, out_start, out, alone, odds, shared, t, born, noise, motion):  # type: ignore[no-untyped-def]
     """Pass states along all links, sighting by sighting, each way weighted against its rivals at both ends.
 
-    Returns state and weight of every link as a way into (backward: out of) its far end.
+    Returns of every link its state and weight as a way into (backward: out of) its far end, and the density of this end
+    for all the ways into its near end.
     """
     size, trust = len(near), motion[4]
     state, weight, likely = np.zeros((size, WIDTH)), np.zeros(size), np.empty(size, np.int64)
-    found, sum_into, sum_out = np.zeros(size), np.zeros(len(t)), np.zeros(len(t))
+    found, sum_into, sum_out, expected = np.zeros(size), np.zeros(len(t)), np.zeros(len(t)), np.zeros(size)
     for h in order:
         known, count = 0.0, 0
         for s in range(into_start[h], into_start[h + 1]):
@@ -161,6 +181,7 @@ def _messages(order, near, far, into_start, into, out_start, out, alone, odds, s
                     continue
                 term *= _same_paint(state, w, born, k, shared[e], noise)
                 total += term
+                expected[e] += term
                 if term > best:
                     best, way = term, w
             if way < 0:
@@ -170,7 +191,7 @@ def _messages(order, near, far, into_start, into, out_start, out, alone, odds, s
             found[e] = min(max(total * odds[e], LEAST_ODDS), MOST_ODDS)
             sum_out[h] += found[e]
             sum_into[k] += found[e]
-    return state, weight
+    return state, weight, expected
 
 
 @njit(cache=True, nogil=True)
@@ -193,7 +214,7 @@ def _write_state(former, way, dt, born, k, motion, state, e):  # type: ignore[no
 
 
 @njit(cache=True, nogil=True)
-def _combined(i, k, into_start, into, out_start, out, past, past_weight, future, future_weight, alone, odds, shared, t, born, noise, motion):  # type: ignore[no-untyped-def]  # fmt: skip  # noqa: E501
+def _combined(i, k, into_start, into, out_start, out, past, past_weight, from_past, future, future_weight, from_future, alone, odds, shared, t, born, noise, motion):  # type: ignore[no-untyped-def]  # fmt: skip  # noqa: E501
     """Log-odds of every link: the sum over ways into its near end and out of its far end, none included on each."""
     gain = np.empty(len(i))
     no_past = _none(into_start, into, past_weight, motion[4])
@@ -202,24 +223,17 @@ def _combined(i, k, into_start, into, out_start, out, past, past_weight, future,
         ways_in, ways_out = into[into_start[i[e]] : into_start[i[e] + 1]], out[out_start[k[e]] : out_start[k[e] + 1]]
         dt = t[k[e]] - t[i[e]]
         total = no_past[i[e]] * no_future[k[e]] * alone[e]
+        total += no_future[k[e]] * from_past[e] + no_past[i[e]] * from_future[e]
         for a in ways_in:
             if past_weight[a] < FAINT:
                 continue
-            ends = no_future[k[e]] * _place(past, a, dt, born, k[e], motion)
-            sum_a = ends * _same_paint(past, a, born, k[e], shared[e], noise)
             for b in ways_out:
-                if past_weight[a] * future_weight[b] < FAINT:
+                both = past_weight[a] * future_weight[b]
+                if both < FAINT:
                     continue
-                term = future_weight[b] * _meet(past, a, dt, future, b, motion)
-                if term >= sum_a * BEHIND:
-                    sum_a += term * _same_paint(past, a, future, b, shared[e], noise)
-            total += past_weight[a] * sum_a
-        for b in ways_out:
-            if future_weight[b] < FAINT:
-                continue
-            term = future_weight[b] * no_past[i[e]] * _place(future, b, -dt, born, i[e], motion)
-            if term >= total * BEHIND**2:
-                total += term * _same_paint(future, b, born, i[e], shared[e], noise)
+                term = both * _meet(past, a, dt, future, b, motion)
+                if term >= total * BEHIND:
+                    total += term * _same_paint(past, a, future, b, shared[e], noise)
         gain[e] = np.log(total * odds[e])
     return gain
 

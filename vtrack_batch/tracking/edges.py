@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
@@ -49,6 +49,39 @@ class Links:
         return Links(self.i[keep], self.k[keep], self.log_alone[keep], self.gain[keep], self.log_known[keep])
 
 
+NO_LINKS = Links(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0), np.zeros(0), np.zeros(0))
+
+
+@dataclass
+class Judged:
+    """The links of successive frames that were found last, and the frames: ``first`` sightings and times ``frame_s``.
+
+    Of windows that overlap, the later one need not judge anew what the former one has judged.
+    """
+
+    frame_s: Array = field(default_factory=lambda: np.zeros(0))
+    first: Index = field(default_factory=lambda: np.zeros(1, np.int64))
+    links: Links = field(default_factory=lambda: NO_LINKS)
+
+    def keep(self, s: Sightings, links: Links) -> None:
+        """Remember the *links* between all successive frames of *s*."""
+        self.frame_s, self.first, self.links = s.frame_s, s.first, links
+
+    def of(self, s: Sightings) -> tuple[int, Links]:
+        """Return how many frames *s* begins with have been judged, and the links between them."""
+        low = int(np.searchsorted(self.frame_s, s.frame_s[0])) if len(s.frame_s) else len(self.frame_s)
+        frames, at = min(len(self.frame_s) - low, len(s.frame_s)), int(self.first[low])
+        same = np.array_equal(self.frame_s[low : low + frames], s.frame_s[:frames])
+        if not (same and np.array_equal(self.first[low : low + frames + 1] - at, s.first[: frames + 1])):
+            return 0, NO_LINKS
+        links, end = self.links, int(self.first[low + frames])
+        keep = (links.i >= at) & (links.k < end)
+        links = Links(
+            links.i[keep] - at, links.k[keep] - at, links.log_alone[keep], links.gain[keep], links.log_known[keep]
+        )
+        return frames, links
+
+
 @dataclass(frozen=True)
 class OpenEnds:
     """Which sightings, (n,) bool, may have a later, or an earlier, one that is not in the very next frame."""
@@ -66,13 +99,16 @@ def pair_links(
     *,
     every: int = 1,
     flow_map: FlowMap | None = None,
+    judged: Judged | None = None,
 ) -> Links:
     """Match successive frames without history, by colour and the neighbours' motion; keep what is not hopeless.
 
-    *log_colour* (n,) is the log density of each sighting's colour in the sequence; *every* > 1 takes a sample.
+    *log_colour* (n,) is the log density of each sighting's colour in the sequence; *every* > 1 takes a sample. What is
+    *judged* already is taken over, and all links are kept there.
     """
-    found = []
-    for f in range(0, len(s.frame_s) - 1, every):
+    frames, links = (0, NO_LINKS) if judged is None else judged.of(s)
+    found = [(links.i, links.k, links.log_alone, links.gain, links.log_known)]
+    for f in range(max(frames - 1, 0), len(s.frame_s) - 1, every):
         a, b, c = (int(first) for first in s.first[f : f + 3])
         dt = float(s.frame_s[f + 1] - s.frame_s[f])
         if a == b or b == c or dt > limit_s:
@@ -88,10 +124,10 @@ def pair_links(
         log_odds, log_alone, log_known = _judged(s, edges, colour, paint, (a, b, c), matching, flow)
         keep = log_odds > KEEP_LOG_ODDS
         found.append((i[keep], k[keep], log_alone[keep], log_odds[keep], log_known[keep]))
-    if not found:
-        none = np.zeros(0, np.int64)
-        return Links(none, none, np.zeros(0), np.zeros(0), np.zeros(0))
-    return Links(*(np.concatenate(part) for part in zip(*found, strict=True)))
+    links = Links(*(np.concatenate(part) for part in zip(*found, strict=True)))
+    if judged is not None:
+        judged.keep(s, links)
+    return links
 
 
 def _judged(

@@ -18,8 +18,8 @@ from vtrack_batch.matching.decision import assign
 from vtrack_batch.matching.flow import FlowMap
 from vtrack_batch.matching.match import MOVING_MPS
 from vtrack_batch.matching.params import ColourParams, MatchingParams
-from vtrack_batch.tracking.beliefs import Graph, link_gains
-from vtrack_batch.tracking.edges import Links, OpenEnds, gated_links, local_density, pair_links
+from vtrack_batch.tracking.beliefs import Graph, distinct, link_gains
+from vtrack_batch.tracking.edges import Judged, Links, OpenEnds, gated_links, local_density, pair_links
 from vtrack_batch.tracking.motion import filter_chain
 from vtrack_batch.tracking.params import TrackingParams
 from vtrack_batch.tracking.sightings import DENSITY_RADIUS_M, Array, Index, Sightings
@@ -64,8 +64,9 @@ def link(
     flow_map: FlowMap | None = None,
     *,
     colour: ColourParams | None = None,
+    judged: Judged | None = None,
 ) -> Chains:
-    """Return the chains of one sequence; *colour*: spreads of colour, where they are known before."""
+    """Return the chains of one sequence; *colour*: spreads of colour, where they are known before; *judged* as well."""
     limit_s = max(params.link.coast_s, (params.link.coast_frames + 1) * s.interval_s) + 0.05 * s.interval_s
     density = np.log(local_density(s.first, s.frame, s.xy, DENSITY_RADIUS_M))
     scene = _repainted(Scene(s, density, limit_s, matching, params), colour or matching.colour.wide())
@@ -73,7 +74,7 @@ def link(
         every = max(1, len(s.frame_s) // SAMPLE_FRAMES)
         sample = pair_links(s, scene.paint, scene.log_colour, matching, limit_s, every=every, flow_map=flow_map)
         scene = _relearned(scene, _chains(len(s), sample), SURE_PAIR)
-    pairs = pair_links(s, scene.paint, scene.log_colour, matching, limit_s, flow_map=flow_map)
+    pairs = pair_links(s, scene.paint, scene.log_colour, matching, limit_s, flow_map=flow_map, judged=judged)
     pairs = _scored(scene, pairs.i, pairs.k, pairs.log_alone, pairs.log_known)
     chains = _chains(len(s), pairs)
     pairs = pairs.above(HOPELESS)
@@ -88,7 +89,7 @@ def _repainted(scene: Scene, colour: ColourParams) -> Scene:
     rgb = scene.s.rgb
     if rgb is None:
         return scene
-    paint = Paint(rgb, colour)
+    paint = Paint(rgb, colour) if scene.paint is None else scene.paint.under(colour)
     return replace(scene, paint=paint, log_colour=paint.log_density(rgb), axes=opponent(rgb))
 
 
@@ -120,13 +121,13 @@ def _links(scene: Scene, pairs: Links, chains: Chains) -> Links:
     linked = chains.after >= 0
     open_before[chains.after[linked]] = open_after[linked]
     i, k = gated_links(s, forward, backward, OpenEnds(open_after, open_before), scene.limit_s, params)
-    key = np.concatenate([pairs.i * len(s) + pairs.k, i * len(s) + k])
+    from_i, to_k = np.concatenate([pairs.i, i]), np.concatenate([pairs.k, k])
     log_alone = np.concatenate([pairs.log_alone, np.full(len(i), -np.inf)])
     # successive sightings that the score of pairs has dropped are hopeless by it; of gaps it knows nothing
     unasked = np.where(s.frame[k] == s.frame[i] + 1, pairs.log_known.min(initial=0.0), 0.0)
     log_known = np.concatenate([pairs.log_known, unasked])
-    key, at = np.unique(key, return_index=True)
-    i, k, log_alone, log_known = key // len(s), key % len(s), log_alone[at], log_known[at]
+    at = distinct(from_i, to_k, len(s))
+    i, k, log_alone, log_known = from_i[at], to_k[at], log_alone[at], log_known[at]
     # where the neighbours were not asked: anywhere in reach
     reach = scene.matching.max_speed_mps * (s.t[k] - s.t[i])
     log_alone = np.where(np.isfinite(log_alone), log_alone, -2 * np.log(2 * np.maximum(reach, 2.0)))

@@ -2,7 +2,8 @@
 
 The first window of a sequence is linked twice: without a map (where it is long, only its beginning), then with the map
 that its own sure links make. Every later window is linked once, with the map of the window before, which holds none of
-its own motions, and with the spreads of colour that were found there. Of a large map an even sample is kept.
+its own motions, and with the spreads of colour that were found there; what was judged there of frames that both windows
+hold is taken over. Of a large map an even sample is kept.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import pandas as pd
 
 from vtrack_batch.matching.flow import FlowMap
 from vtrack_batch.matching.params import ColourParams, MatchingParams
+from vtrack_batch.tracking.edges import Judged
 from vtrack_batch.tracking.identity import calibrated_probability
 from vtrack_batch.tracking.learn import LEAST_SIGHTINGS, SURE, flow_of
 from vtrack_batch.tracking.link import Chains, colour_of, link
@@ -35,13 +37,14 @@ class Taught:
     def __post_init__(self) -> None:
         self.teaches = self.flow_map is None and self.params.link.self_taught
         self.colour: ColourParams | None = None
+        self.judged = Judged()
 
     def __call__(self, s: Sightings) -> Chains:
         """Return the chains of a window."""
         if self.teaches and self.flow_map is None:
             beginning = of_frames(s, 0, _frames_with(s, FIRST_SIGHTINGS))
             self.flow_map = _some(flow_of(beginning, link(beginning, self.matching, self.params)))
-        chains = link(s, self.matching, self.params, self.flow_map, colour=self.colour)
+        chains = link(s, self.matching, self.params, self.flow_map, colour=self.colour, judged=self.judged)
         self.colour = colour_of(s, chains, self.matching.colour)
         if self.teaches:
             self.flow_map = _some(flow_of(s, chains))
