@@ -50,6 +50,19 @@ class Motions(NamedTuple):
         return cls(here[order], there[order], first, (rows, columns), (float(low[0]), float(low[1]), side))
 
 
+class Near(NamedTuple):
+    """The motions nearest to places, all (p, v): how far ``away`` (m), the ``weight`` with which they speak, where their
+    far ends are (``x``, ``y``), and how far these are from their near ones (``dx``, ``dy``).
+    """
+
+    away: Array
+    weight: Array
+    x: Array
+    y: Array
+    dx: Array
+    dy: Array
+
+
 @dataclass(frozen=True)
 class LocalFlow:
     """Motions of a map that last *elapsed_s*, asked from places (n, 2) of one moment and (m, 2) of a later one.
@@ -65,19 +78,19 @@ class LocalFlow:
     spread_m: float
 
     @cached_property
-    def _from(self) -> tuple[Array, Index]:
-        """Distances (n, v) and rows of the motions that start nearest to the earlier places."""
+    def _from(self) -> Near:
+        """The motions that start nearest to the earlier places (n,)."""
         return _nearest(self.starting, self.earlier_xy, _ranks(len(self.starting.here)))
 
     @cached_property
-    def _to(self) -> tuple[Array, Index]:
-        """Distances (m, v) and rows of the motions that end nearest to the later places."""
+    def _to(self) -> Near:
+        """The motions that end nearest to the later places (m,)."""
         return _nearest(self.ending, self.later_xy, _ranks(len(self.ending.here)))
 
     def possible(self, edges: Edges) -> NDArray[np.bool_]:
         """Tell which *edges* (e,) are like a motion ever seen, or lead through the unknown."""
         rank = min(PLACE_RANK, len(self.starting.here)) - 1
-        unknown_from, unknown_to = self._from[0][:, rank] > UNKNOWN_M, self._to[0][:, rank] > UNKNOWN_M
+        unknown_from, unknown_to = self._from.away[:, rank] > UNKNOWN_M, self._to.away[:, rank] > UNKNOWN_M
         alike_m = ALIKE_M + ALIKE_MPS * self.elapsed_s
         alike = _any_alike(self.starting, edges.first, edges.k, self.earlier_xy, self.later_xy, alike_m)
         return np.asarray(alike | unknown_from[edges.i] | unknown_to[edges.k])
@@ -87,12 +100,10 @@ class LocalFlow:
 
         Like the votes of neighbours: (κ prior + Σ w N(d; v t)) / (κ + Σ w), with κ = *prior_weight*.
         """
-        away, rows = (np.ascontiguousarray(of[:, :NEAREST]) for of in self._from)
-        weight = np.exp(-0.5 * (away / PLACE_M) ** 2)
-        moved = (self.starting.there - self.starting.here)[rows]
-        votes = _votes(edges.i, edges.displacement, *_by_axis(moved), weight, np.array([self.spread_m]))[:, 0]
-        votes /= 2 * np.pi * self.spread_m**2
-        return np.asarray((prior_weight * prior + votes) / (prior_weight + weight.sum(axis=1)[edges.i]))
+        found, size = self._from, min(NEAREST, len(self.starting.here))
+        votes = _votes(edges.i, edges.displacement, found.dx, found.dy, found.weight, size, np.array([self.spread_m]))
+        density, weight = votes[:, 0] / (2 * np.pi * self.spread_m**2), found.weight[:, :size].sum(axis=1)
+        return np.asarray((prior_weight * prior + density) / (prior_weight + weight[edges.i]))
 
     def evidence(self, edges: Edges) -> Array:
         """Return what the map knows of *edges*, as ten columns (e, 10).
@@ -105,27 +116,21 @@ class LocalFlow:
         ranks = np.minimum(ALIKE, size) - 1
         alike = _most_alike(self.starting, edges.first, edges.k, self.earlier_xy, self.later_xy, ranks)
         rank = min(PLACE_RANK, size) - 1
-        there, here = self._from[0][edges.i, rank], self._to[0][edges.k, rank]
-        forward = self._shares(edges.i, self.later_xy[edges.k], self.starting, self._from)
-        backward = self._shares(edges.k, self.earlier_xy[edges.i], self.ending, self._to)
+        there, here = self._from.away[edges.i, rank], self._to.away[edges.k, rank]
+        forward = self._shares(edges.i, self.later_xy[edges.k], self._from)
+        backward = self._shares(edges.k, self.earlier_xy[edges.i], self._to)
         return np.column_stack([alike, there, here, forward, backward, np.full(len(edges), np.log(size))])
 
-    def _shares(self, place: Index, other: Array, motions: Motions, found: tuple[Array, Index]) -> Array:
+    def _shares(self, place: Index, other: Array, found: Near) -> Array:
         """Return the log shares (e, 2) of the motions nearest to each *place* whose far end is near *other* (e, 2)."""
-        away, rows = found
-        weight = np.exp(-0.5 * (away / PLACE_M) ** 2)
         spreads = np.array([0.7 + 0.35 * self.elapsed_s, 0.8 + 1.2 * self.elapsed_s])
-        votes = _votes(place, other, *_by_axis(motions.there[rows]), weight, spreads)
-        return np.log((votes + 0.02) / (weight.sum(axis=1)[place, None] + 1))
+        votes = _votes(place, other, found.x, found.y, found.weight, found.weight.shape[1], spreads)
+        return np.log((votes + 0.02) / (found.weight.sum(axis=1)[place, None] + 1))
 
 
 def _ranks(size: int) -> Index:
     """Return the ranks that matter, descending, among *size* motions."""
     return np.unique(np.minimum([VOTERS, NEAREST, PLACE_RANK], size))[::-1] - 1
-
-
-def _by_axis(points: Array) -> tuple[Array, Array]:
-    return np.ascontiguousarray(points[..., 0]), np.ascontiguousarray(points[..., 1])
 
 
 class Found(NamedTuple):
@@ -193,13 +198,13 @@ def _select(key, row, count, rank):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _nearest(motions, places, ranks):  # type: ignore[no-untyped-def]
-    """Return distances (p, c) and rows (p, c) of the motions nearest to *places* (p, 2).
+    """Return the motions nearest to *places* (p, 2).
 
     *ranks*, descending, are those in whose place the distance of that rank stands; there are ``ranks[0] + 1``.
     """
-    count = ranks[0] + 1
-    away, rows = np.empty((len(places), count)), np.empty((len(places), count), np.int64)
-    found = _room(len(motions.here))
+    size, count = len(places), ranks[0] + 1
+    away, weight, found = np.empty((size, count)), np.empty((size, count)), _room(len(motions.here))
+    x, y, dx, dy = np.empty((size, count)), np.empty((size, count)), np.empty((size, count)), np.empty((size, count))
     for p in range(len(places)):
         near, radius = 0, SEARCH_M
         while near < count:
@@ -209,8 +214,13 @@ def _nearest(motions, places, ranks):  # type: ignore[no-untyped-def]
             _select(found.square, found.row, near, rank)
             near = rank
         for c in range(count):
-            away[p, c], rows[p, c] = np.sqrt(found.square[c]), found.row[c]
-    return away, rows
+            away[p, c] = np.sqrt(found.square[c])
+            weight[p, c] = bell(min(found.square[c] / PLACE_M**2, NOTHING))
+        for c in range(count):
+            row = found.row[c]
+            x[p, c], y[p, c] = motions.there[row, 0], motions.there[row, 1]
+            dx[p, c], dy[p, c] = x[p, c] - motions.here[row, 0], y[p, c] - motions.here[row, 1]
+    return Near(away, weight, x, y, dx, dy)
 
 
 @njit(cache=True, nogil=True)
@@ -281,20 +291,23 @@ def _sums_below(found, near, x, y, limit, least):  # type: ignore[no-untyped-def
 
 
 @njit(cache=True, nogil=True)
-def _votes(place, other, x, y, weight, spreads):  # type: ignore[no-untyped-def]
+def _votes(place, other, x, y, weight, size, spreads):  # type: ignore[no-untyped-def]
     """Sum (e, s) over the motions of each edge's *place*: their weight, the less the farther they are from *other*.
 
-    *x*, *y* and *weight* (p, v) are those of the motions of each place; *spreads* (s,) of the Gaussians.
+    *x*, *y* and *weight* (p, v) are those of the motions of each place, of which *size* are asked; *spreads* (s,) those
+    of the Gaussians.
     """
-    out, vote = np.zeros((len(place), len(spreads))), np.empty(weight.shape[1])
+    out, vote = np.zeros((len(place), len(spreads))), np.zeros(size + 3)
     for e in range(len(place)):
         p = place[e]
         for s in range(len(spreads)):
             narrow = 1 / spreads[s] ** 2
-            for v in range(len(vote)):
+            for v in range(size):
                 z = ((x[p, v] - other[e, 0]) ** 2 + (y[p, v] - other[e, 1]) ** 2) * narrow
                 near = bell(min(z, NOTHING)) * weight[p, v]
                 vote[v] = near if z < NOTHING else 0.0
-            for v in range(len(vote)):
-                out[e, s] += vote[v]
+            sums = (0.0, 0.0, 0.0, 0.0)
+            for v in range(0, size, 4):  # four sums beside one another need not wait for each other
+                sums = (sums[0] + vote[v], sums[1] + vote[v + 1], sums[2] + vote[v + 2], sums[3] + vote[v + 3])
+            out[e, s] = sums[0] + sums[1] + sums[2] + sums[3]
     return out
