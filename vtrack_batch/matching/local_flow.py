@@ -51,11 +51,13 @@ class Motions(NamedTuple):
 
 
 class Near(NamedTuple):
-    """The motions nearest to places, all (p, v): how far ``away`` (m), the ``weight`` with which they speak, where their
-    far ends are (``x``, ``y``), and how far these are from their near ones (``dx``, ``dy``).
+    """The motions nearest to places, all (p, v): the ``weight`` with which they speak, where their far ends are (``x``,
+    ``y``), and how far these are from their near ones (``dx``, ``dy``); the ``NEAREST`` ones first.
+
+    ``known`` (p,) is the distance (m) of the motion of ``PLACE_RANK``, which tells how well a place is known.
     """
 
-    away: Array
+    known: Array
     weight: Array
     x: Array
     y: Array
@@ -80,17 +82,16 @@ class LocalFlow:
     @cached_property
     def _from(self) -> Near:
         """The motions that start nearest to the earlier places (n,)."""
-        return _nearest(self.starting, self.earlier_xy, _ranks(len(self.starting.here)))
+        return _nearest(self.starting, self.earlier_xy)
 
     @cached_property
     def _to(self) -> Near:
         """The motions that end nearest to the later places (m,)."""
-        return _nearest(self.ending, self.later_xy, _ranks(len(self.ending.here)))
+        return _nearest(self.ending, self.later_xy)
 
     def possible(self, edges: Edges) -> NDArray[np.bool_]:
         """Tell which *edges* (e,) are like a motion ever seen, or lead through the unknown."""
-        rank = min(PLACE_RANK, len(self.starting.here)) - 1
-        unknown_from, unknown_to = self._from.away[:, rank] > UNKNOWN_M, self._to.away[:, rank] > UNKNOWN_M
+        unknown_from, unknown_to = self._from.known > UNKNOWN_M, self._to.known > UNKNOWN_M
         alike_m = ALIKE_M + ALIKE_MPS * self.elapsed_s
         alike = _any_alike(self.starting, edges.first, edges.k, self.earlier_xy, self.later_xy, alike_m)
         return np.asarray(alike | unknown_from[edges.i] | unknown_to[edges.k])
@@ -115,8 +116,7 @@ class LocalFlow:
         size = len(self.starting.here)
         ranks = np.minimum(ALIKE, size) - 1
         alike = _most_alike(self.starting, edges.first, edges.k, self.earlier_xy, self.later_xy, ranks)
-        rank = min(PLACE_RANK, size) - 1
-        there, here = self._from.away[edges.i, rank], self._to.away[edges.k, rank]
+        there, here = self._from.known[edges.i], self._to.known[edges.k]
         forward = self._shares(edges.i, self.later_xy[edges.k], self._from)
         backward = self._shares(edges.k, self.earlier_xy[edges.i], self._to)
         return np.column_stack([alike, there, here, forward, backward, np.full(len(edges), np.log(size))])
@@ -126,11 +126,6 @@ class LocalFlow:
         spreads = np.array([0.7 + 0.35 * self.elapsed_s, 0.8 + 1.2 * self.elapsed_s])
         votes = _votes(place, other, found.x, found.y, found.weight, found.weight.shape[1], spreads)
         return np.log((votes + 0.02) / (found.weight.sum(axis=1)[place, None] + 1))
-
-
-def _ranks(size: int) -> Index:
-    """Return the ranks that matter, descending, among *size* motions."""
-    return np.unique(np.minimum([VOTERS, NEAREST, PLACE_RANK], size))[::-1] - 1
 
 
 class Found(NamedTuple):
@@ -169,58 +164,78 @@ def _within(motions, x, y, radius, found):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _select(key, row, count, rank):  # type: ignore[no-untyped-def]
-    """Reorder *count* keys and rows so that the key at *rank* has none greater before it and none less behind it.
+def _ranked(key, count, rank, high):  # type: ignore[no-untyped-def]
+    """Return which of *count* keys, none negative and more than *rank* of them up to *high*, has this rank.
 
-    Source: C. A. R. Hoare, "Algorithm 65: Find", CACM 4 (1961).
+    By halving: keys are counted, not moved, for that goes side by side.
     """
-    low, high = 0, count - 1
-    while low < high:
-        a, b, c = key[low], key[(low + high) // 2], key[high]
-        pivot = max(min(a, b), min(max(a, b), c))
-        i, j = low, high
-        while i <= j:
-            while key[i] < pivot:
-                i += 1
-            while key[j] > pivot:
-                j -= 1
-            if i <= j:
-                key[i], key[j] = key[j], key[i]
-                row[i], row[j] = row[j], row[i]
-                i, j = i + 1, j - 1
-        if rank <= j:
-            high = j
-        elif rank >= i:
-            low = i
+    low, before, below = -1.0, 0, count + 1
+    while before < rank and below != rank + 1:
+        middle = 0.5 * (low + high)
+        if middle <= low or middle >= high:
+            return high  # many are equal
+        below = 0
+        for s in range(count):
+            below += key[s] <= middle
+        if below <= rank:
+            low, before = middle, below
         else:
-            return
+            high = middle
+    if before == rank:
+        least = np.inf
+        for s in range(count):
+            least = key[s] if low < key[s] < least else least
+        return least
+    greatest = 0.0
+    for s in range(count):
+        greatest = key[s] if greatest < key[s] <= high else greatest
+    return greatest
 
 
 @njit(cache=True, nogil=True)
-def _nearest(motions, places, ranks):  # type: ignore[no-untyped-def]
-    """Return the motions nearest to *places* (p, 2).
-
-    *ranks*, descending, are those in whose place the distance of that rank stands; there are ``ranks[0] + 1``.
-    """
-    size, count = len(places), ranks[0] + 1
-    away, weight, found = np.empty((size, count)), np.empty((size, count)), _room(len(motions.here))
-    x, y, dx, dy = np.empty((size, count)), np.empty((size, count)), np.empty((size, count)), np.empty((size, count))
-    for p in range(len(places)):
-        near, radius = 0, SEARCH_M
-        while near < count:
-            near = _within(motions, places[p, 0], places[p, 1], radius, found)
+def _nearest(motions, places):  # type: ignore[no-untyped-def]
+    """Return the motions nearest to *places* (p, 2): ``VOTERS`` if there are so many, ``NEAREST`` of them first."""
+    total, size = len(motions.here), len(places)
+    voters, nearest, place_rank = min(VOTERS, total), min(NEAREST, total), min(PLACE_RANK, total) - 1
+    known, weight, found = np.empty(size), np.empty((size, voters)), _room(total)
+    x, y, dx, dy = np.empty_like(weight), np.empty_like(weight), np.empty_like(weight), np.empty_like(weight)
+    first, second = np.empty(total + 1, np.int64), np.empty(total + 1, np.int64)
+    for p in range(size):
+        radius = SEARCH_M
+        near = _within(motions, places[p, 0], places[p, 1], radius, found)
+        while near < voters:
             radius *= WIDER
-        for rank in ranks:
-            _select(found.square, found.row, near, rank)
-            near = rank
-        for c in range(count):
-            away[p, c] = np.sqrt(found.square[c])
-            weight[p, c] = bell(min(found.square[c] / PLACE_M**2, NOTHING))
-        for c in range(count):
-            row = found.row[c]
-            x[p, c], y[p, c] = motions.there[row, 0], motions.there[row, 1]
-            dx[p, c], dy[p, c] = x[p, c] - motions.here[row, 0], y[p, c] - motions.here[row, 1]
-    return Near(away, weight, x, y, dx, dy)
+            near = _within(motions, places[p, 0], places[p, 1], radius, found)
+        farthest = _ranked(found.square, near, voters - 1, radius * radius)
+        middle = _ranked(found.square, near, nearest - 1, farthest)
+        known[p] = np.sqrt(_ranked(found.square, near, place_rank, middle))
+        closer, closest = 0, 0
+        for s in range(near):
+            closer += found.square[s] < farthest
+            closest += found.square[s] < middle
+        # of those that are equally far the first ones are taken
+        room, more = nearest - closest, voters - nearest - max(closer - nearest, 0)
+        a, b = 0, 0
+        for s in range(near):
+            square = found.square[s]
+            equal = square == middle
+            of_first = (square < middle) | (equal & (room > 0))
+            room -= equal
+            equal = (square == farthest) & (not of_first)
+            of_second = ((square < farthest) & (not of_first)) | (equal & (more > 0))
+            more -= equal
+            first[a], second[b] = s, s
+            a += of_first
+            b += of_second
+        for c in range(voters):
+            s = first[c] if c < nearest else second[c - nearest]
+            weight[p, c] = min(found.square[s] / PLACE_M**2, NOTHING)
+            x[p, c], y[p, c] = found.x[s], found.y[s]
+            row = found.row[s]
+            dx[p, c], dy[p, c] = found.x[s] - motions.here[row, 0], found.y[s] - motions.here[row, 1]
+        for c in range(voters):
+            weight[p, c] = bell(weight[p, c])
+    return Near(known, weight, x, y, dx, dy)
 
 
 @njit(cache=True, nogil=True)
@@ -246,6 +261,7 @@ def _most_alike(motions, first, k, earlier_xy, later_xy, ranks):  # type: ignore
     """Return the distances (e, r) to the motions of certain *ranks* (r,), by distance at both ends taken together."""
     out, told = np.empty((len(k), len(ranks))), np.zeros(len(k), np.bool_)
     found = _room(len(motions.here))
+    both, most = found.sum, ranks[-1]
     for i in range(len(earlier_xy)):
         radius, left = SEARCH_M, first[i + 1] - first[i]
         while left:
@@ -255,39 +271,40 @@ def _most_alike(motions, first, k, earlier_xy, later_xy, ranks):  # type: ignore
             for e in range(first[i], first[i + 1]):
                 if told[e]:
                     continue
-                count = _sums_below(found, near, later_xy[k[e], 0], later_xy[k[e], 1], limit, ranks[-1])
-                if count <= ranks[-1]:
+                x, y, below = later_xy[k[e], 0], later_xy[k[e], 1], 0
+                for s in range(near):
+                    dx, dy = found.x[s] - x, found.y[s] - y
+                    both[s] = found.square[s] + dx * dx + dy * dy
+                    below += both[s] < limit
+                if below <= most:
                     continue
                 told[e] = True
                 left -= 1
+                count, high = _lowest(both, near, most, limit)
                 for r in range(len(ranks) - 1, -1, -1):
-                    _select(found.sum, found.row, count, ranks[r])
-                    out[e, r], count = np.sqrt(found.sum[ranks[r]]), ranks[r]
+                    high = _ranked(both, count, ranks[r], high)
+                    out[e, r] = np.sqrt(high)
             radius *= WIDER
     return out
 
 
 @njit(cache=True, nogil=True)
-def _sums_below(found, near, x, y, limit, least):  # type: ignore[no-untyped-def]
-    """Write the least sums of the squared distances at both ends: more than *least*, if so many are below the *limit*.
+def _lowest(key, count, rank, limit):  # type: ignore[no-untyped-def]
+    """Keep, in place, those of *count* keys below a quarter of the *limit*, or all, if not more than *rank* are.
 
-    Returns how many there are.
+    Returns how many there are, and what none of those that matter is above.
     """
-    half, quarter = limit / 2, limit / 4
-    below, below_half, below_quarter, count = 0, 0, 0, 0
-    for s in range(near):
-        dx, dy = found.x[s] - x, found.y[s] - y
-        found.sum[s] = found.square[s] + dx * dx + dy * dy
-        below += found.sum[s] < limit
-        below_half += found.sum[s] < half
-        below_quarter += found.sum[s] < quarter
-    if below <= least:
-        return below
-    limit = quarter if below_quarter > least else half if below_half > least else limit
-    for s in range(near):
-        found.sum[count] = found.sum[s]
-        count += found.sum[count] < limit
-    return count
+    if limit == np.inf:
+        return count, key[:count].max()
+    below, kept = 0, 0
+    for s in range(count):
+        below += key[s] < limit / 4
+    if below <= rank:
+        return count, limit
+    for s in range(count):
+        key[kept] = key[s]
+        kept += key[kept] < limit / 4
+    return kept, limit / 4
 
 
 @njit(cache=True, nogil=True)
