@@ -215,60 +215,50 @@ def _hear(asked, owner, d, p, first, bands, xy, scales, spread):  # type: ignore
     """
     out, (voices, voice) = np.zeros((len(asked), 13)), _voices(p, d, first)
     other, rx, ry = np.empty(len(xy), np.int64), np.empty(len(xy)), np.empty(len(xy))
-    who, at_u, at_v = np.empty(len(xy), np.int64), np.empty(len(xy)), np.empty(len(xy))
-    z, place = np.empty((len(scales), len(xy))), np.empty((len(scales), len(xy)))
+    who, from_x, from_y, said = np.empty(len(voice), np.int64), np.empty(len(voice)), np.empty(len(voice)), 0
+    by_x, by_y, loud = np.empty(len(voice)), np.empty(len(voice)), np.empty(len(voice))
+    at_u, at_v, lane = np.empty(len(voice)), np.empty(len(voice)), np.empty(len(voice), np.int64)
     square, along, across = np.empty(len(voice)), np.empty(len(voice)), np.empty(len(voice))
-    near, far, say = np.empty(len(voice)), np.empty(len(voice)), np.empty((len(scales), len(voice)))
-    narrow, wide, i, speaking = 1 / spread[0] ** 2, 1 / spread[1] ** 2, -1, 0
+    near, far, say = np.empty(len(voice)), np.empty(len(voice)), np.empty(len(voice))
+    narrow, wide, i = 1 / spread[0] ** 2, 1 / spread[1] ** 2, -1
     for at in range(len(asked)):
         e = asked[at]
         if owner[e] != i:
-            i = owner[e]
-            speaking = _speaking(others_near(i, xy, bands, other, rx, ry), other, rx, ry, voices)
+            i, said = owner[e], 0
+            for c in range(others_near(i, xy, bands, other, rx, ry)):
+                for f in range(voices[other[c]], voices[other[c] + 1]):
+                    who[said], from_x[said], from_y[said] = c, rx[c], ry[c]
+                    by_x[said], by_y[said], loud[said] = voice[f, 0], voice[f, 1], voice[f, 2]
+                    said += 1
         length = np.hypot(d[e, 0], d[e, 1])
         still = length <= STILL_M
         ux, uy = (1.0, 0.0) if still else (d[e, 0] / length, d[e, 1] / length)
-        for c in range(speaking):
-            at_u[c], at_v[c] = rx[c] * ux + ry[c] * uy, rx[c] * uy - ry[c] * ux
-        for r in range(len(scales)):
-            # who stands has neighbours all around
-            per_u, per_v = (2 / scales[r, 0], 2 / scales[r, 0]) if still else (1 / scales[r, 0], 1 / scales[r, 1])
-            for c in range(speaking):
-                z[r, c] = (at_u[c] * per_u) ** 2 + (at_v[c] * per_v) ** 2
-        count = 0
-        for c in range(speaking):
-            heard = not still and abs(at_v[c]) < LANE_M and abs(at_u[c]) < LANE_AHEAD_M
-            for r in range(len(scales)):
-                heard |= z[r, c] <= FARTHEST
-                z[r, count] = z[r, c]
-            who[count], at_u[count], at_v[count] = other[c], at_u[c], at_v[c]
-            count += heard
-        for r in range(len(scales)):
-            for c in range(count):
-                weight = bell(min(z[r, c], FARTHEST))
-                place[r, c] = weight if z[r, c] <= FARTHEST else 0.0
-        said = 0
-        for c in range(count):
-            u, v = at_u[c], at_v[c]
-            in_lane = not still and abs(v) < LANE_M and abs(u) < LANE_AHEAD_M
+        for n in range(said):
+            at_u[n], at_v[n] = from_x[n] * ux + from_y[n] * uy, from_x[n] * uy - from_y[n] * ux
+        to_x, to_y = d[e, 0], d[e, 1]
+        for n in range(said):
+            square[n] = (by_x[n] - to_x) * (by_x[n] - to_x) + (by_y[n] - to_y) * (by_y[n] - to_y)
+        for n in range(said):
+            dx, dy = by_x[n] - to_x, by_y[n] - to_y
+            along[n], across[n] = dx * ux + dy * uy, dx * uy - dy * ux
+        if not still:
+            count = 0
+            for n in range(said):
+                lane[count] = n
+                count += (abs(at_v[n]) < LANE_M) & (abs(at_u[n]) < LANE_AHEAD_M)
             broken, kept = 0.0, 0.0
-            for f in range(voices[who[c]], voices[who[c] + 1]):
-                dx, dy = voice[f, 0] - d[e, 0], voice[f, 1] - d[e, 1]
-                square[said] = dx * dx + dy * dy
-                along[said], across[said] = dx * ux + dy * uy, dx * uy - dy * ux
-                for r in range(len(scales)):
-                    say[r, said] = voice[f, 2] * place[r, c]
-                if in_lane and abs(v + across[said]) < LANE_M:
-                    after = u + along[said]
-                    if after * u < 0 or abs(after) < GAP_M:
-                        broken += voice[f, 2]
-                    else:
-                        kept += voice[f, 2]
-                said += 1
-            out[at, 10] += broken
-            out[at, 11] += kept
-            out[at, 12] = max(out[at, 12], broken)
-        if still:
+            for s in range(count):  # what all voices of one neighbour say of the order in the lane
+                n = lane[s]
+                if abs(at_v[n] + across[n]) < LANE_M:
+                    after = at_u[n] + along[n]
+                    passed = after * at_u[n] < 0 or abs(after) < GAP_M
+                    broken, kept = (broken + loud[n], kept) if passed else (broken, kept + loud[n])
+                if s + 1 == count or who[lane[s + 1]] != who[n]:
+                    out[at, 10] += broken
+                    out[at, 11] += kept
+                    out[at, 12] = max(out[at, 12], broken)
+                    broken, kept = 0.0, 0.0
+        else:
             for n in range(said):
                 along[n], across[n] = np.sqrt(square[n]), 0.0
         for n in range(said):
@@ -276,9 +266,15 @@ def _hear(asked, owner, d, p, first, bands, xy, scales, spread):  # type: ignore
             near[n], far[n] = bell(min(a, NOTHING)), bell(min(b, NOTHING))
             near[n], far[n] = (near[n] if a < NOTHING else 0.0), (far[n] if b < NOTHING else 0.0)
         for r in range(len(scales)):
+            # who stands has neighbours all around
+            per_u, per_v = (2 / scales[r, 0], 2 / scales[r, 0]) if still else (1 / scales[r, 0], 1 / scales[r, 1])
+            for n in range(said):
+                z = (at_u[n] * per_u) ** 2 + (at_v[n] * per_v) ** 2
+                place = bell(min(z, FARTHEST))
+                say[n] = loud[n] * (place if z <= FARTHEST else 0.0)
             weight, by_along, by_across, by_near, by_far = 0.0, 0.0, 0.0, 0.0, 0.0
             for n in range(said):
-                w = say[r, n]
+                w = say[n]
                 weight += w
                 by_along += w * along[n]
                 by_across += w * across[n]
@@ -299,14 +295,3 @@ def _voices(p, d, first):  # type: ignore[no-untyped-def]
                 at += 1
         start[j + 1] = at
     return start, voice
-
-
-@njit(cache=True, nogil=True)
-def _speaking(count, other, rx, ry, voices):  # type: ignore[no-untyped-def]
-    """Keep, in place, those of *count* neighbours that have a voice; returns how many."""
-    kept = 0
-    for c in range(count):
-        if voices[other[c]] < voices[other[c] + 1]:
-            other[kept], rx[kept], ry[kept] = other[c], rx[c], ry[c]
-            kept += 1
-    return kept
