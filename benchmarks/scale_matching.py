@@ -119,10 +119,14 @@ ROWS: dict[str, Callable[..., dict[str, Any]]] = {
 
 
 def town(size: int, seed: int = 0) -> list[pd.DataFrame]:
-    """Two images of *size* vehicles on streets 100 m apart, 15 vehicles to the hectare, none missed."""
+    """Two images of *size* vehicles on streets some 100 m apart, 15 vehicles to the hectare, none missed.
+
+    Streets are as near to 100 m as fill the town evenly: at every size as many vehicles stand on a kilometre of them.
+    """
     rng = np.random.default_rng(seed)
     side = np.sqrt(size / 15) * 100
-    along, lane = rng.uniform(0, side, size), rng.integers(0, max(int(side // 100), 1), size) * 100.0 + 50
+    streets = max(round(side / 100), 1)
+    along, lane = rng.uniform(0, side, size), (rng.integers(0, streets, size) + 0.5) * side / streets
     upright, sense = rng.integers(0, 2, size)[:, None] == 0, rng.choice([-1, 1], size)
     speed = sense * np.clip(9 + 4 * np.sin(along / 150 + lane) + rng.normal(0, 1.2, size), 0, None)
     paint = rng.choice([235, 25, 120, 185, 90], size)[:, None] + rng.normal(0, 20, (size, 3))
