@@ -124,28 +124,17 @@ def heard_features(
     d, order = edges.displacement, np.argsort(edges.k, kind="stable")
     spread = np.array([0.5 + 0.35 * elapsed_s, 0.7 + 1.4 * elapsed_s])
     asked = np.arange(len(d)) if asked is None else asked
-    rank = np.empty_like(order)
-    rank[order] = np.arange(len(order))
     first_k = np.searchsorted(edges.k[order], np.arange(edges.m + 1))
-    a = _hear(asked, edges.i, d, p, edges.first, around.earlier, earlier_xy, SCALES, spread)
+    out = _hear(asked, edges.i, d, p, edges.first, around.earlier, earlier_xy, SCALES, spread)
     # seen from the later image time runs backward
-    by_owner = np.argsort(rank[asked], kind="stable")
-    b = np.empty_like(a)
-    b[by_owner] = _hear(
-        rank[asked[by_owner]], edges.k[order], -d[order], p[order], first_k, around.later, later_xy, SCALES, spread
-    )
-    out = np.empty((len(asked), len(HEARD)))
+    place = np.full(len(d), -1)
+    place[asked] = np.arange(len(asked))
+    rank = np.flatnonzero(place[order] >= 0)
+    back = _hear(rank, edges.k[order], -d[order], p[order], first_k, around.later, later_xy, SCALES, spread)
+    _add_other_side(out, back, place[order[rank]], elapsed_s)
     for s in range(len(SCALES)):
-        at = 5 * s
-        weight = a[:, at] + b[:, at]
-        known = weight > 1e-3
-        out[:, at] = weight
-        for c in (1, 2):
-            moment = a[:, at + c] + b[:, at + c]
-            out[:, at + c] = np.where(known, moment / np.maximum(weight, 1e-3) / elapsed_s, UNKNOWN)
-        for c in (3, 4):
-            out[:, at + c] = np.log((a[:, at + c] + b[:, at + c] + 0.05) / (weight + 0.5))
-    out[:, 10:] = np.column_stack([a[:, 10] + b[:, 10], a[:, 11] + b[:, 11], np.maximum(a[:, 12], b[:, 12])])
+        votes = out[:, 5 * s + 3 : 5 * s + 5]
+        np.log(votes, out=votes)
     return out
 
 
@@ -282,6 +271,24 @@ def _hear(asked, owner, d, p, first, bands, xy, scales, spread):  # type: ignore
                 by_far += w * far[n]
             out[at, 5 * r : 5 * r + 5] = weight, by_along, by_across, by_near, by_far
     return out
+
+
+@njit(cache=True, nogil=True)
+def _add_other_side(out, back, rows, elapsed_s):  # type: ignore[no-untyped-def]
+    """Make of the sums *out* (a, 13) at one end, and *back* (a, 13), of *rows*, at the other, the columns of both."""
+    for n in range(len(rows)):
+        at = rows[n]
+        for s in range(0, 10, 5):
+            weight = out[at, s] + back[n, s]
+            for c in range(s + 1, s + 3):
+                moment = out[at, c] + back[n, c]
+                out[at, c] = moment / max(weight, 1e-3) / elapsed_s if weight > 1e-3 else UNKNOWN
+            for c in range(s + 3, s + 5):
+                out[at, c] = (out[at, c] + back[n, c] + 0.05) / (weight + 0.5)
+            out[at, s] = weight
+        out[at, 10] += back[n, 10]
+        out[at, 11] += back[n, 11]
+        out[at, 12] = max(out[at, 12], back[n, 12])
 
 
 @njit(cache=True, nogil=True)

@@ -98,13 +98,28 @@ def _leaves(tree: dict[str, Any], node: int, number: int, decisions: list[Decisi
 
 @njit(cache=True, nogil=True)
 def _sums(x, first, threshold, left, value):  # type: ignore[no-untyped-def]
-    """Return the sums (e,) of all trees; ``BATCH`` rows go side by side through the thresholds of a column."""
+    """Return the sums (e,) of all trees; ``BATCH`` rows go side by side through the thresholds of a column.
+
+    Columns of which all rows hold the same are asked once.
+    """
+    always, asked, count = np.full(len(value), 0xFFFFFFFF, np.uint32), np.empty(x.shape[1], np.int64), 0
+    for column in range(x.shape[1]):
+        same = len(x) > 0
+        for e in range(1, len(x)):
+            same &= x[e, column] == x[0, column]
+            if not same:
+                break
+        if same:
+            limits = threshold[first[column] : first[column + 1]]
+            always &= left[first[column] + column + (limits < x[0, column]).sum()]
+        asked[count] = column
+        count += not same
     out, at, row = np.empty(len(x)), np.empty(BATCH), np.empty(BATCH, np.int64)
     bits = np.empty((BATCH, len(value)), np.uint32)
     for begin in range(0, len(x), BATCH):
         size = min(BATCH, len(x) - begin)
-        bits[:] = np.uint32(0xFFFFFFFF)
-        for column in range(x.shape[1]):
+        bits[:] = always
+        for column in asked[:count]:
             at[:size] = x[begin : begin + size, column]
             row[:] = first[column] + column
             for s in range(first[column], first[column + 1]):

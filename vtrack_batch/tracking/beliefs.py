@@ -220,14 +220,15 @@ def _combined(i, k, into_start, into, out_start, out, past, past_weight, from_pa
     no_past = _none(into_start, into, past_weight, motion[4])
     no_future = _none(out_start, out, future_weight, motion[4])
     for e in range(len(i)):
-        ways_in, ways_out = into[into_start[i[e]] : into_start[i[e] + 1]], out[out_start[k[e]] : out_start[k[e] + 1]]
         dt = t[k[e]] - t[i[e]]
         total = no_past[i[e]] * no_future[k[e]] * alone[e]
         total += no_future[k[e]] * from_past[e] + no_past[i[e]] * from_future[e]
-        for a in ways_in:
+        for r in range(into_start[i[e]], into_start[i[e] + 1]):
+            a = into[r]
             if past_weight[a] < FAINT:
                 continue
-            for b in ways_out:
+            for s in range(out_start[k[e]], out_start[k[e] + 1]):
+                b = out[s]
                 both = past_weight[a] * future_weight[b]
                 if both < FAINT:
                     continue
