@@ -51,16 +51,24 @@ def test_paint_may_flicker_but_not_change() -> None:
 
 @pytest.mark.parametrize(
     ("interval_s", "links"),
-    [(0.1, [4, 6]), (0.5, [4, 6]), (1.0, [4, 3, 6, 4]), (1.5, [4, 3, 6, 3]), (4.0, [4, 3, 6, 3])],
+    [(0.1, [4, 6, 3]), (0.5, [4, 6, 3]), (1.0, [4, 3, 6, 4]), (1.5, [4, 3, 6, 3]), (4.0, [4, 3, 6, 3])],
 )
 def test_fewer_sightings_make_a_chain_where_frames_are_far_apart(interval_s: float, links: list[int]) -> None:
     kinds = kinds_of(np.arange(9) * interval_s, PARAMS)
     assert [kind.links for kind in kinds] == links
-    spans = {3.0: PARAMS.chain_span_s, 1.5: PARAMS.slow_chain_span_s}
+    spans = {3.0: PARAMS.chain_span_s, 1.5: PARAMS.slow_chain_span_s, PARAMS.short_chain_speed_mps: 0.0}
     for kind in kinds:
         assert kind.loose == (kind.links in (PARAMS.chain_links, PARAMS.slow_chain_links) and kind.misfit == np.inf)
         if not kind.loose:
             assert (kind.links - 1) * interval_s >= spans[kind.least_mps]
+
+
+@pytest.mark.parametrize(("speed", "seen", "found"), [(20.0, 3, True), (20.0, 2, False), (7.0, 3, False)])
+def test_what_is_fast_need_only_be_seen_three_times(speed: float, seen: int, found: bool) -> None:
+    passing = [[(5 + speed * t, 3.0, 0.0, 90.0)] if n < seen else [] for n, t in enumerate(TIMES)]
+    frames = [sightings(rows) for rows in passing]
+    rows = sum(len(find_chains(frames, TIMES, kind, params=PARAMS).rows) for kind in kinds_of(TIMES, PARAMS))
+    assert (rows > 0) == found
 
 
 @pytest.mark.parametrize(("turn_deg", "repaint", "bend_m"), [(20, 0, 0), (0, 75, 0), (0, 0, 0.85), (14, 50, 0.5)])

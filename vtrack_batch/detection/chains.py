@@ -84,6 +84,9 @@ def kinds_of(times_s: Floats, params: DetectionParams) -> list[Kind]:
         fewer = max(_FEWEST_LINKS, 1 + int(np.ceil(span_s / apart_s - 1e-6))) if apart_s > 0 else links
         if fewer < links:
             kinds.append(Kind(fewer, least_mps, params.short_chain_misfit))
+    if apart_s > 0 and all(kind.links > _FEWEST_LINKS for kind in kinds):
+        # Between two bridges what is fast is seen three times; nothing but traffic is so fast.
+        kinds.append(Kind(_FEWEST_LINKS, params.short_chain_speed_mps, params.short_chain_misfit))
     return kinds
 
 

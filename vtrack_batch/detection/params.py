@@ -80,6 +80,9 @@ class DetectionParams(Params):
     short_chain_misfit: float = Field(
         1.0, gt=0, description="largest sum of squared misfits, in parts of their limits, in a chain of fewer sightings"
     )
+    short_chain_speed_mps: float = Field(
+        9.0, gt=0, description="least speed of a chain of three sightings that span less time"
+    )
     fastest_mps: float = Field(60.0, gt=0, description="highest speed of a chain")
     chain_miss_m: float = Field(1.0, gt=0, description="most that a sighting may miss its chain by, sideways")
     chain_accel_mps2: float = Field(2.5, ge=0, description="acceleration that a chain may show")

@@ -22,7 +22,7 @@ from vtrack_batch.storage.output import digest
 Step = Literal["detect", "track", "traffic", "picture"]
 STEPS: tuple[Step, ...] = ("detect", "track", "traffic", "picture")
 
-ALGORITHM: Mapping[Step, int] = {"detect": 8, "track": 6, "traffic": 2, "picture": 3}
+ALGORITHM: Mapping[Step, int] = {"detect": 9, "track": 6, "traffic": 2, "picture": 3}
 """Raised whenever a step may give other results from the same inputs and parameters."""
 
 SITE_CANDIDATES = 5
