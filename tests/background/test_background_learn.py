@@ -111,6 +111,21 @@ def test_ground_that_cars_leave_between_them_keeps_its_paint() -> None:
     assert np.abs(found.mean(axis=0) - (150, 60, 50)).max() < 6
 
 
+@pytest.mark.parametrize(("first", "last"), [(4, 7), (9, 13)])
+def test_shadow_that_hides_a_hedge_is_not_ground(first: int, last: int) -> None:
+    samples = []
+    for i in range(20):
+        land = ground()
+        land[56:60] = (38, 48, 40)
+        if first <= i <= last:
+            land[60:74, 90:190] = (36, 46, 50)
+        land[78:84, 8 * i % 200 : 8 * i % 200 + 14] = (240, 240, 240)
+        samples.append(Sample(shot(land, i), np.eye(3), 1.5 * i))
+    off = learn_background(samples, params=PARAMS).pixels[62:72, 100:180].astype(float) - ground()[62:72, 100:180]
+    assert np.abs(off.reshape(-1, 3).mean(axis=0)).max() < 4
+    assert np.abs(off).max() < 20
+
+
 def grey_queue() -> Background:
     """Two cars nearly as grey as the road stand one after the other, for 14 of 20 samples; then leaves that sway."""
     rng = np.random.default_rng(5)

@@ -25,8 +25,10 @@ _ROAD_VOTES = 2.0
 _STAY_VOTES = 2.0
 _AGREES = 0.3
 _CALM = 16.0
+_SHADED = 0.65
 _NEAR = 40.0
 _KIND_APART = 0.85
+_MOSTLY = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +48,12 @@ class Road:
             [[across, 0.0, across * (columns[0] + 0.5) - 0.5], [0.0, down, down * (rows[0] + 0.5) - 0.5]], np.float64
         )
         size, how = (columns[1] - columns[0], rows[1] - rows[0]), cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        return np.asarray(cv2.warpAffine(self.colour, into, size, flags=how, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+        # at the rim, where nothing is known beyond, the colour of what is known, not one between it and black
+        known = np.where(self.colour.any(axis=2), np.float32(1), np.float32(0))
+        colour = cv2.warpAffine(self.colour, into, size, flags=how, borderMode=cv2.BORDER_REPLICATE)
+        share = cv2.warpAffine(known, into, size, flags=how, borderMode=cv2.BORDER_REPLICATE)[:, :, None]
+        nearby = np.where(share >= _MOSTLY, colour / np.maximum(share, _MOSTLY), 0.0)
+        return np.asarray(np.rint(np.minimum(nearby, 255.0)), np.uint8)
 
 
 def road_nearby(pixels: NDArray[np.uint8], traffic: NDArray[np.bool_], *, step: int, size: tuple[int, int]) -> Road:
@@ -112,6 +119,8 @@ def replace_busy(image, spread, stack, covered, restless, busy, road):  # type: 
             for j in range(n):
                 weight[j] = calm[int(weight[j] - calmest)]
             best = _most_voted(levels, weight, n, road[r, c], like_road, votes, stay)
+            _set_apart(away, levels, n, float(image[r, c, 0]), float(image[r, c, 1]), float(image[r, c, 2]))
+            best = _lying_below(away, levels, n, best, road[r, c])
             _set_apart(away, levels, n, levels[0, best], levels[1, best], levels[2, best])
             for k in range(3):
                 image[r, c, k] = int(_mean_near(levels[k], weight, n, away) + 0.5)
@@ -152,6 +161,39 @@ def _most_voted(levels, weight, n, road, like_road, votes, stay):  # type: ignor
         if votes[j] > most:
             best, most = j, votes[j]
     return best
+
+
+@njit(cache=True, nogil=True)
+def _lying_below(away, levels, n, best, road):  # type: ignore[no-untyped-def]
+    """Return *best*, or the sample most like the median, *away* (n,) from all, if that lies below what *best* shows.
+
+    It does where most samples are like it, and not too unlike the *road* nearby, where all that are like *best* came
+    after some of these and went before others, and are as dark as shadow on them: next to a dark hedge a lorry's shadow
+    makes the lane calmer than it is.
+    """
+    most, first, last, nearest = 0, n, -1, 0
+    for i in range(n):
+        if away[i] <= _SAME:
+            most += 1
+            first, last = min(first, i), i
+        if away[i] < away[nearest]:
+            nearest = i
+    if 2 * most <= n or away[best] <= 2 * _SAME:
+        return best
+    if road.max() > 0 and _apart(road, levels[:, nearest]) > 2 * _LIKE_ROAD:
+        return best
+    for k in range(3):
+        if levels[k, best] > _SHADED * levels[k, nearest]:
+            return best
+    for i in range(n):
+        apart = max(
+            abs(levels[0, i] - levels[0, best]),
+            abs(levels[1, i] - levels[1, best]),
+            abs(levels[2, i] - levels[2, best]),
+        )
+        if apart <= _SAME and not first < i < last:
+            return best
+    return nearest
 
 
 @njit(cache=True, nogil=True)
