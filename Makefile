@@ -99,3 +99,4 @@ lock: ## resolve the lock files anew (needs uv)
 
 clean: ## remove what the other targets made
 	rm -rf $(VENV) demo build *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	find vtrack_batch benchmarks tests -name __pycache__ -prune -exec rm -rf {} +
