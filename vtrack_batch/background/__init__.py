@@ -11,7 +11,8 @@ Steps of ``learn.learn_background``
 2. ``stacks``, ``planes``: samples are warped once, strip by strip, and their exact temporal median is taken by a pruned
    sorting network of byte-wise minima and maxima. Ground that a sample does not cover votes for neither side.
 3. ``mode``: where a place is occupied so often that the median is doubtful (stop lines), samples vote for colours: calm
-   ones more, because vehicles have edges, and those that look like the trafficked ground nearby.
+   ones more, because vehicles have edges, and those that look like the trafficked ground nearby. What most samples
+   show before and after something as dark as a shadow lies below it.
 4. Tolerance: a share of the local range of grey levels (a frame is never registered perfectly) plus the spread over
    time that most samples show (trees, water, roofs seen from another side); where vehicles stand for long, that the
    samples of free ground show.
