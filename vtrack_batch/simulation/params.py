@@ -70,7 +70,7 @@ class DetectorParams(Params):
 
 
 class Scenario(Params):
-    """A whole simulated archive; the defaults are the demonstration: 140 frames of a busy signalised crossing."""
+    """A whole simulated archive; the defaults are 140 frames of a busy signalised crossing."""
 
     scene: SceneName = Field(
         "crossing",
