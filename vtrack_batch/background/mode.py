@@ -25,9 +25,11 @@ _ROAD_VOTES = 2.0
 _STAY_VOTES = 2.0
 _AGREES = 0.3
 _CALM = 16.0
+# Ground in shadow has at most this share of its levels; beside a grey car's levels, those of the road are higher.
 _SHADED = 0.65
 _NEAR = 40.0
 _KIND_APART = 0.85
+# Half a cell beyond the last one whose colour is known.
 _MOSTLY = 0.5
 
 
@@ -186,12 +188,7 @@ def _lying_below(away, levels, n, best, road):  # type: ignore[no-untyped-def]
         if levels[k, best] > _SHADED * levels[k, nearest]:
             return best
     for i in range(n):
-        apart = max(
-            abs(levels[0, i] - levels[0, best]),
-            abs(levels[1, i] - levels[1, best]),
-            abs(levels[2, i] - levels[2, best]),
-        )
-        if apart <= _SAME and not first < i < last:
+        if not first < i < last and _apart(levels[:, i], levels[:, best]) <= _SAME:
             return best
     return nearest
 
